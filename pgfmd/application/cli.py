@@ -1,13 +1,4 @@
-"""The command line.
-
-    python -m pgfmd new [KIND …] > JOB.toml
-    mpirun -n P python -m mpi4py -m pgfmd run JOB.toml --output DIR [--set section.key=value ...]
-    python -m pgfmd check JOB.toml
-    python -m pgfmd info DIR
-    python -m pgfmd plot [FIGURE] DIR… [--output FOLDER]
-    python -m pgfmd certify HEIGHTS PRESSURE [--set section.key=value ...]
-    python -m pgfmd compare DIR DIR…
-    python -m pgfmd cite DIR
+"""The command line: `python -m pgfmd COMMAND …`, under `mpirun -n P python -m mpi4py` for `run`.
 
 Exit codes: 0; 2 for wrong input, with one line on stderr; 3 if a solver cannot certify its answer, or no load gives
 what was asked for; 75 (EX_TEMPFAIL) if the run was asked to stop, and can be continued by --restart; 130 if it was

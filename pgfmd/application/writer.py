@@ -1,10 +1,7 @@
 """The files of a run, each complete at every instant.
 
     observables.h5          small: one row per load, groups of curves and tables, provenance (`tables`)
-    fields.h5               view of all fields: height, load_0000/pressure, …; open this one to read them
-    fields.vtkhdf           view of all fields for ParaView
-    fields/height.h5, fields/load_0000.h5, …        the fields (`field_files`)
-    fields/load_0000_patches.h5, …      groups of a load that are large, to which observables.h5 links
+    fields.h5, fields.vtkhdf, fields/       views of all fields; fields and large groups (`field_files`)
     fields/checkpoint.h5    of an unfinished load (`loads`)
     SHA256SUMS              checksums of all but the checkpoint and large fields, which hold checksums of their rows
 

@@ -12,7 +12,6 @@ IN_PLACE = SUM = MAX = MIN = LOR = None
 
 
 def Get_library_version() -> str:
-    """There is no library."""
     return "none"
 
 
@@ -20,7 +19,6 @@ class Request:
     """A communication that is complete."""
 
     def Test(self) -> bool:
-        """True."""
         return True
 
     @staticmethod
@@ -57,7 +55,6 @@ class Comm:
     Allgather = Allgatherv = Alltoallv = Gatherv = Scatterv = Alltoall
 
     def Sendrecv(self, send: Any, dest: int, recvbuf: Any = None, source: int = 0) -> None:
-        """Copies `send` to `recvbuf`."""
         _copy(send, recvbuf)
 
     def Bcast(self, array: Any, root: int = 0) -> None:
@@ -70,11 +67,9 @@ class Comm:
         return Request()
 
     def Dup(self) -> Comm:
-        """This communicator."""
         return self
 
     def Abort(self, code: int = 0) -> NoReturn:
-        """Ends the process."""
         os._exit(code)
 
 
