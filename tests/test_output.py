@@ -63,7 +63,7 @@ def transport(request, monkeypatch):
     """Both ways to the file: with MPI in h5py (if it has it) and past HDF5; blocks so small that there are many."""
     if request.param == "in place":
         monkeypatch.setattr(hdf5_slabs, "is_collective", lambda comm: False)
-    monkeypatch.setattr(hdf5_slabs, "BLOCK_BYTES", 100)
+    monkeypatch.setattr(files, "BLOCK_BYTES", 100)
     monkeypatch.setattr(hdf5_slabs, "COLLECTIVE_BYTES", 48)  # one row: on some ranks more pieces than rows
     return request.param
 
@@ -360,7 +360,7 @@ def test_both_transports_write_the_same_bytes(comm, shared_tmp_path, monkeypatch
     in place, where ranks share a node and where their nodes take turns.
     """
     if nodes != "one node":
-        monkeypatch.setattr(hdf5_slabs, "BLOCK_BYTES", 100)
+        monkeypatch.setattr(files, "BLOCK_BYTES", 100)
         monkeypatch.setattr(hdf5_slabs, "_first_of_node", lambda comm: comm.rank)
     for name, collective in (("together", hdf5_slabs.is_collective(comm)), ("in place", False)):
         monkeypatch.setattr(hdf5_slabs, "is_collective", lambda comm, collective=collective: collective)
@@ -373,7 +373,7 @@ def test_both_transports_write_the_same_bytes(comm, shared_tmp_path, monkeypatch
 def test_error_while_writing_reaches_all_ranks(comm, shared_tmp_path, monkeypatch):
     """An I/O error of the last rank in the middle of a field: the same error everywhere, no hang, nothing left."""
     monkeypatch.setattr(hdf5_slabs, "is_collective", lambda comm: False)
-    monkeypatch.setattr(hdf5_slabs, "BLOCK_BYTES", 2**17)  # one row
+    monkeypatch.setattr(files, "BLOCK_BYTES", 2**17)  # one row
     rows, shape, calls, block = slab(13, comm.size, comm.rank), (13, 2**14), [], hdf5_slabs.Field.block
 
     def failing(field, part):

@@ -184,14 +184,19 @@ def row_sums(rows: np.ndarray) -> np.ndarray:
     return np.frombuffer(digests, np.uint8).reshape(len(rows), -1)
 
 
+def row_blocks(count: int, row_bytes: int) -> list[slice]:
+    """`count` rows cut into blocks of at most BLOCK_BYTES, or of one row."""
+    step = max(1, BLOCK_BYTES // row_bytes)
+    return [slice(first, min(first + step, count)) for first in range(0, count, step)]
+
+
 def rows_are_right(path: Path) -> bool | None:
     """Whether the rows of the fields in a file have the checksums that it holds of them; None if it holds none."""
     try:
         fields = _summed_fields(path)
         with h5py.File(path, "r", locking=False) as file:
             for field in (file[name] for name in fields):
-                step = max(1, BLOCK_BYTES // (field.shape[1] * field.dtype.itemsize))
-                for rows in (slice(first, first + step) for first in range(0, len(field), step)):
+                for rows in row_blocks(len(field), field.shape[1] * field.dtype.itemsize):
                     if not np.array_equal(row_sums(field[rows]), file[field.name + ROW_SUMS][rows]):
                         return False
     except Exception:  # whatever HDF5 makes of a damaged file

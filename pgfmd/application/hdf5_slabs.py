@@ -18,7 +18,7 @@ import h5py
 import numpy as np
 
 from pgfmd.application import files
-from pgfmd.application.files import BLOCK_BYTES, Form
+from pgfmd.application.files import Form
 from pgfmd.parallel.collectives import from_root, node_of, raise_together, slab
 from pgfmd.parallel.mpi import MPI
 
@@ -48,7 +48,7 @@ class Field:
 
     def sums(self) -> Field:
         """The SHA-256 of each row as the file has it: (rows, 32) bytes."""
-        parts = [files.row_sums(self.block(part)) for part in _blocks(len(self.local), self.row_bytes)]
+        parts = [files.row_sums(self.block(part)) for part in files.row_blocks(len(self.local), self.row_bytes)]
         return Field(np.concatenate(parts), np.dtype(np.uint8))
 
 
@@ -196,14 +196,8 @@ def _first_of_node(comm: MPI.Comm) -> int:
 def _put_rows(path: Path, rows: slice, fields: dict[str, Field], offsets: dict[str, int]) -> None:
     with files.named(path), open(path, "r+b") as file:
         for name, field in fields.items():
-            for part in _blocks(rows.stop - rows.start, field.row_bytes):
+            for part in files.row_blocks(rows.stop - rows.start, field.row_bytes):
                 file.seek(offsets[name] + (rows.start + part.start) * field.row_bytes)
                 file.write(field.block(part).data)
         file.flush()
         os.fsync(file.fileno())
-
-
-def _blocks(count: int, row_bytes: int) -> list[slice]:
-    """`count` rows cut into blocks of about BLOCK_BYTES, at least one row each."""
-    pieces = min(-(-count * row_bytes // BLOCK_BYTES), count)
-    return [slab(count, pieces, number) for number in range(pieces)]
