@@ -116,7 +116,7 @@ class FieldFiles:
         for draft in (self.directory / self.folder).glob(".*.h5.tmp"):
             draft.unlink(missing_ok=True)
         if not has_results:
-            self.remove(and_checkpoint=False)
+            self.remove(self.folder, and_checkpoint=False)
         (self.directory / self.folder).mkdir(exist_ok=True)
 
     def remove_tables(self, name: str, kept: Collection[str]) -> None:
@@ -149,15 +149,19 @@ class FieldFiles:
         for name in (FIELDS_FILE, VTK_FILE):
             (self.directory / name).unlink(missing_ok=True)
 
-    def remove(self, and_checkpoint: bool) -> None:
-        """Remove the fields that this program wrote into `folder`, and the folder if nothing else is in it."""
-        _remove(self.directory / self.folder, and_checkpoint)
+    def remove(self, folder: str, and_checkpoint: bool) -> None:
+        """Remove the fields that this program wrote into a folder, and the folder if nothing else is in it."""
+        for path in restart.own_field_files(self.directory / folder):
+            if and_checkpoint or path.name != CHECKPOINT_FILE:
+                path.unlink(missing_ok=True)
+        with suppress(OSError):
+            (self.directory / folder).rmdir()
 
     def remove_replaced(self) -> None:
         """Remove the fields of replaced results, which are in the other folder, and the views of them."""
         self.remove_views()
         for folder in set(restart.FIELDS_FOLDERS) - {self.folder}:
-            _remove(self.directory / folder, and_checkpoint=True)
+            self.remove(folder, and_checkpoint=True)
 
     @property
     def _numbers(self) -> list[int]:
@@ -206,14 +210,6 @@ class FieldFiles:
             steps["Values"] = np.array(self._numbers, float)
             for name in points:
                 steps[f"PointDataOffsets/{name}"] = np.arange(count)
-
-
-def _remove(folder: Path, and_checkpoint: bool) -> None:
-    for path in restart.own_field_files(folder):
-        if and_checkpoint or path.name != CHECKPOINT_FILE:
-            path.unlink(missing_ok=True)
-    with suppress(OSError):
-        folder.rmdir()
 
 
 def described(directory: Path, file: str, dataset: str) -> Shown:

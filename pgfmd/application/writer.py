@@ -208,7 +208,7 @@ class ResultWriter:
     def _note_failure(self, error: BaseException) -> None:
         """Write status and error into observables.h5; if that still holds old results, remove the new files instead."""
         if self.replacing:
-            self._fields.remove(and_checkpoint=not isinstance(error, Stopped))
+            self._fields.remove(self._fields.folder, and_checkpoint=not isinstance(error, Stopped))
             self._sums.note()
             return
         status = "stopped" if isinstance(error, Stopped) else "failed"
