@@ -202,7 +202,7 @@ def _key() -> int:
     return MPI.Comm.Create_keyval(delete_fn=_forget)
 
 
-def _once(comm: MPI.Comm, name: object, make: Callable[[], MPI.Comm | None]) -> MPI.Comm | None:
+def _once(comm: MPI.Comm, name: object, make: Callable[[], MPI.Comm | None]) -> Any:
     """`make()`, kept as an attribute of `comm` under that name, and freed with it."""
     kept: Any = comm.Get_attr(_key())
     if kept is None:
@@ -232,9 +232,7 @@ def node_of(comm: MPI.Comm) -> MPI.Comm:
     """The ranks of `comm` that share memory with this one.  Collective on first use."""
     if comm.size == 1:
         return comm
-    node = _once(comm, "node", lambda: comm.Split_type(MPI.COMM_TYPE_SHARED))
-    assert node is not None
-    return node
+    return _once(comm, "node", lambda: comm.Split_type(MPI.COMM_TYPE_SHARED))
 
 
 def node_starts(comm: MPI.Comm, node: MPI.Comm) -> np.ndarray | None:
@@ -249,9 +247,7 @@ def peers_of(comm: MPI.Comm, node: MPI.Comm) -> MPI.Comm:
     """
     if node.size == 1:
         return comm
-    peers = _once(comm, "peers", lambda: comm.Split(node.rank))
-    assert peers is not None
-    return peers
+    return _once(comm, "peers", lambda: comm.Split(node.rank))
 
 
 def by_node(comm: MPI.Intracomm) -> MPI.Intracomm:
