@@ -319,16 +319,9 @@ class OutputFolder:
 
 def holder(path: str | os.PathLike) -> str | None:
     """Who holds the folder's lock at this moment; None if nobody does."""
-    try:
-        handle = os.open(Path(path) / LOCK_NAME, os.O_RDONLY)
-    except OSError:
-        return None
-    try:
-        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        return None
-    except BlockingIOError:
-        return os.read(handle, 200).decode(errors="replace").strip() or "a run that has just started"
-    except OSError:
-        return None
-    finally:
-        os.close(handle)
+    with contextlib.suppress(OSError), open(Path(path) / LOCK_NAME, "rb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return file.read(200).decode(errors="replace").strip() or "a run that has just started"
+    return None

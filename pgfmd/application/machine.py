@@ -53,12 +53,10 @@ def git_commit() -> str:
         )
         return done.stdout.strip()
 
-    try:
-        if Path(git("rev-parse", "--show-toplevel")) != root:
-            return "unknown"
-        return git("rev-parse", "HEAD") + ("+" if git("status", "--porcelain", "-uno") else "")
-    except (OSError, subprocess.SubprocessError):
-        return "unknown"
+    with suppress(OSError, subprocess.SubprocessError):
+        if Path(git("rev-parse", "--show-toplevel")) == root:
+            return git("rev-parse", "HEAD") + ("+" if git("status", "--porcelain", "-uno") else "")
+    return "unknown"
 
 
 def now() -> str:
@@ -131,11 +129,9 @@ def _control_groups() -> list[tuple[float, float]]:
 
 
 def _lines(name: str) -> list[str]:
-    try:
-        with open(name) as file:
-            return file.readlines()
-    except OSError:
-        return []
+    with suppress(OSError), open(name) as file:
+        return file.readlines()
+    return []
 
 
 def _nodes(comm: MPI.Comm) -> list[tuple[str, int, float]]:

@@ -6,6 +6,7 @@ import logging
 import os
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -112,27 +113,20 @@ def read(directory: Path) -> EarlierResults:
 
 def other_folder(directory: Path) -> str:
     """The one of FIELDS_FOLDERS that the results in observables.h5 do not use; the second if that cannot be read."""
-    try:
-        with h5py.File(directory / files.OBSERVABLES_FILE, "r", locking=False) as file:
-            used = str(file.attrs.get("fields_folder", files.FIELDS_FOLDER))
-    except (OSError, KeyError, RuntimeError):
-        used = files.FIELDS_FOLDER
+    path, used = directory / files.OBSERVABLES_FILE, files.FIELDS_FOLDER
+    with suppress(OSError, KeyError, RuntimeError), h5py.File(path, "r", locking=False) as file:
+        used = str(file.attrs.get("fields_folder", used))
     return next(folder for folder in FIELDS_FOLDERS if folder != used)
 
 
 def is_own(path: Path) -> bool:
     """Whether this program wrote a file: its attributes name the program or, if it is truncated, its beginning does."""
-    try:
-        with h5py.File(path, "r", locking=False) as file:
-            return str(file.attrs.get("software")) == "pgfmd"
-    except Exception:  # whatever HDF5 makes of a damaged file
-        pass
-    try:
-        with open(path, "rb") as cut:
-            start = cut.read(2**16)
-    except OSError:
-        return False
-    return start.startswith(b"\x89HDF") and b"software" in start and b"pgfmd" in start
+    with suppress(Exception), h5py.File(path, "r", locking=False) as file:  # whatever HDF5 makes of a damaged file
+        return str(file.attrs.get("software")) == "pgfmd"
+    with suppress(OSError), open(path, "rb") as cut:
+        start = cut.read(2**16)
+        return start.startswith(b"\x89HDF") and b"software" in start and b"pgfmd" in start
+    return False
 
 
 def _field_files(folder: Path) -> Iterator[Path]:

@@ -106,11 +106,10 @@ def _launched(names: tuple[str, ...], otherwise: int) -> int:
 def shared_memory() -> tuple[str, float]:
     """The folder in which ranks of a node share memory, and the bytes that they can have there; inf if not known."""
     folder = os.environ.get("OMPI_MCA_osc_sm_backing_directory", "/dev/shm")
-    try:
+    with contextlib.suppress(OSError):
         space = os.statvfs(folder)
-    except OSError:
-        return folder, math.inf
-    return folder, USABLE * space.f_bavail * space.f_frsize
+        return folder, USABLE * space.f_bavail * space.f_frsize
+    return folder, math.inf
 
 
 def library() -> str:
