@@ -75,7 +75,7 @@ def simulate(
     Raises on all ranks together InputError (nothing is written), SolverError (completed loads are written) or Stopped
     (asked to stop; `restart` continues).
     """
-    phases, alone, mode = _Phases(), interruptions is None, _mode(overwrite, restart)
+    seconds, alone, mode = dict[str, float](), interruptions is None, _mode(overwrite, restart)
     memory, available = machine.memory_per_rank(job, comm), machine.available_memory()
     if alone:
         machine.refuse_too_large(comm, memory)
@@ -93,7 +93,7 @@ def simulate(
         ExitStack() as at_end,
     ):
         refuse_changes(job, origin, writer.earlier, writer.directory)
-        with phases("surface"):
+        with _timed(seconds, "surface"):
             heights = refined_heights(job.surface, job.grid, grid, job.output.length_unit)
             grid.storage = np.dtype(job.solver.storage).type  # only now: whether it holds the heights is to be seen
             heights = in_storage(grid, heights)
@@ -108,38 +108,33 @@ def simulate(
         loads = Loads(job, problem, writer, asked)
         at_end.callback(loads.release)
         loads.refuse_impossible(alone)
-        with phases("write"):
+        with _timed(seconds, "write"):
             loads.begin()
             log_file.open(writer.directory, f"{command_line()}, on {counted(comm.size, 'rank')}")
             if "height" in job.output.fields and not writer.earlier.has_height:
                 writer.write_heights(heights)
         for index in loads.pending:
-            with phases("solve"):
+            with _timed(seconds, "solve"):
                 solution = loads.solve(index)
             if solution is None:
                 continue
-            with phases("observe"):
+            with _timed(seconds, "observe"):
                 contact = Contact.of(surface, solution, loads.control.displacement(solution))
                 row, groups = contact.numbers, contact.measure()
-            with phases("write"):
+            with _timed(seconds, "write"):
                 loads.write(index, contact, row, groups)
             del solution, contact  # before the next load is solved
-        loads.finish(phases.seconds | {f"observe {name}": value for name, value in surface.seconds.items()})
+        loads.finish(seconds | {f"observe {name}": value for name, value in surface.seconds.items()})
     if loads.unreachable:
         raise SolverError(f"{'; '.join(map(str, loads.unreachable.values()))}; the other loads are written")
 
 
-class _Phases:
-    """Wall seconds by name."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-
-    @contextmanager
-    def __call__(self, name: str) -> Iterator[None]:
-        began = time.perf_counter()
-        yield
-        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - began
+@contextmanager
+def _timed(seconds: dict[str, float], phase: str) -> Iterator[None]:
+    """Adds the wall time of the block to that of the phase."""
+    began = time.perf_counter()
+    yield
+    seconds[phase] = seconds.get(phase, 0.0) + time.perf_counter() - began
 
 
 Tables = Mapping[str, Mapping[str, Any]]
