@@ -26,7 +26,7 @@ import numpy as np
 from pgfmd.errors import InputError
 from pgfmd.observables.schema import LOADS, TABLE, Dataset, GroupLayout
 
-FORMAT_VERSION = 4  # how earlier ones differ: see `results.modern`
+FORMAT_VERSION = 4  # how earlier ones differ: see `Results._modern`
 # Attributes beyond 64 KiB (a long job text) need this file format; every HDF5 since 2008 reads it.
 LIBVER = ("v108", "v110")
 

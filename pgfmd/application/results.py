@@ -119,7 +119,7 @@ class Results:
 
     @cached_property
     def _overlaps(self) -> bool:
-        """Whether gaps in the files are negative where the wall yields: see `modern`."""
+        """Whether gaps in the files are negative where the wall yields: see `_modern`."""
         return self.provenance["format_version"] < 3 and self.job.get("wall", {}).get("kind") == "hardness"
 
     @property
@@ -188,6 +188,27 @@ class Results:
         else:
             yield load[title]
 
+    def _modern(self, title: str, table: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
+        """A group of one load in the present format; itself if it needs no change.
+
+        1: spectra of stress, contact and bearing area were those of sums over points, N² larger than those of Fourier
+           coefficients (N points); the area of low-passed surfaces was the corrected one.
+        2: every spectrum is that of Fourier coefficients; low-passed surfaces have both areas.  Where a wall of limited
+           hardness yields, the gap was negative: minus the plastic depth.  Its field is converted; the mean gap and the
+           gap's histogram and spectrum are not known (NaN).
+        3: the gap is 0 where the wall yields; the plastic depth is a field and a column of its own.
+        4: checksums are in SHA256SUMS, no longer at the end of each file.
+        """
+        if self._overlaps and title in OF_GAPS:
+            return {**table, OF_GAPS[title]: np.full_like(table[OF_GAPS[title]], np.nan)}
+        if self.provenance["format_version"] >= 2:
+            return table
+        if title in SUMS_IN_1:
+            return {**table, "value": table["value"] / float(self.shape[0] * self.shape[1]) ** 2}
+        if title == "lowpass_area":
+            return {"q": table["q"], "area_corrected": table["area"]}
+        return table
+
     def _index(self, index: int) -> int:
         if not -len(self) <= index < len(self):
             raise InputError(f"{self.directory}: no load {index}: {len(self)} were completed, counted from 0")
@@ -213,9 +234,7 @@ class LoadResults(Mapping[str, Mapping[str, np.ndarray]]):
     def __getitem__(self, title: str) -> Mapping[str, np.ndarray]:
         with self.results._open(OBSERVABLES_FILE) as file:
             with self.results.group(file[self._name], title) as group:
-                table = {key: dataset[()] for key, dataset in group.items()}
-        results = self.results
-        return modern(title, table, results.provenance["format_version"], results.shape, results._overlaps)
+                return self.results._modern(title, {key: dataset[()] for key, dataset in group.items()})
 
     def __iter__(self) -> Iterator[str]:
         with self.results._open(OBSERVABLES_FILE) as file:
@@ -320,28 +339,3 @@ def text_table(columns: Mapping[str, Sequence[str]], units: Mapping[str, str]) -
     loads = range(len(next(iter(columns.values()))))
     named = [[name, units[name], *cells] for name, cells in columns.items()]
     return "\n".join(aligned(list(zip(["load", "", *map(str, loads)], *named, strict=True))))
-
-
-def modern(
-    title: str, table: Mapping[str, np.ndarray], version: int, shape: tuple[int, int], overlap: bool
-) -> Mapping[str, np.ndarray]:
-    """A group of one load in the present format, converted from that of `version`; itself if it needs no change.
-    shape: of the grid; overlap: whether gaps in the file are negative where the wall yields.
-
-    1: spectra of stress, contact and bearing area were those of sums over points, N² larger than those of Fourier
-       coefficients (N points); the area of low-passed surfaces was the corrected one.
-    2: every spectrum is that of Fourier coefficients; low-passed surfaces have both areas.  Where a wall of limited
-       hardness yields, the gap was negative: minus the plastic depth.  Its field is converted; the mean gap and the
-       gap's histogram and spectrum are not known (NaN).
-    3: the gap is 0 where the wall yields; the plastic depth is a field and a column of its own.
-    4: checksums are in SHA256SUMS, no longer at the end of each file.
-    """
-    if overlap and title in OF_GAPS:
-        return {**table, OF_GAPS[title]: np.full_like(table[OF_GAPS[title]], np.nan)}
-    if version >= 2:
-        return table
-    if title in SUMS_IN_1:
-        return {**table, "value": table["value"] / float(shape[0] * shape[1]) ** 2}
-    if title == "lowpass_area":
-        return {"q": table["q"], "area_corrected": table["area"]}
-    return table
