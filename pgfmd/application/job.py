@@ -1,7 +1,4 @@
-"""The job: a TOML file (or Python values) as one frozen, validated Job.  No MPI here.
-
-SECTIONS lists the classes of its tables, whose fields are their keys.
-"""
+"""The job: a TOML file (or Python values) as one frozen, validated Job.  No MPI here."""
 
 from __future__ import annotations
 
@@ -221,7 +218,7 @@ def _job(plugins: tuple[Plugin, ...], values: bytes) -> Job:
 
 
 _SECTIONS: tuple[type[Section] | Kinds, ...] = (Cell, SURFACES, SOLIDS, LAWS, Load, Solver, output_section(), Run)
-SECTIONS = {kind.where: kind for kind in _SECTIONS}
+SECTIONS = {kind.where: kind for kind in _SECTIONS}  # the tables of a job; their fields are its keys
 
 
 def load(path: str | os.PathLike, overrides: list[str] | tuple[str, ...] = ()) -> Job:

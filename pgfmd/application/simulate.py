@@ -1,7 +1,4 @@
-"""The run, top to bottom: job → grid → surface → for each load: solve, measure, write.
-
-For scripts and notebooks `run` runs a job and opens its results, `surface` makes the surface of a job.
-"""
+"""The run, top to bottom: job → grid → surface → for each load: solve, measure, write."""
 
 import logging
 import os

@@ -131,10 +131,7 @@ def _without_loads(length_unit: str, pressure_unit: str) -> bytes:
 
 
 def read_columns(group: h5py.Group) -> dict[str, np.ndarray]:
-    """All columns of a table of loads: those of `LOADS` first, then those of observables by name.
-
-    Missing integers, of loads that were not solved, are NaN as well.
-    """
+    """The columns of a table of loads: those of `LOADS`, then others by name.  Missing integers are NaN as well."""
     columns = {}
     for name in (*LOADS, *sorted(set(group) - LOADS.keys() - {"load"})):
         if group.id.links.exists(name.encode()):

@@ -1,7 +1,4 @@
-"""Slabs of rows, reductions over ranks, and errors raised on all ranks together.
-
-Functions that communicate take the communicator first; nothing here knows about grids or physics.
-"""
+"""Slabs of rows, reductions over ranks, errors raised on all ranks together, communicators of some of the ranks."""
 
 from __future__ import annotations
 

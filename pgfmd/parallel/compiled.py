@@ -76,9 +76,7 @@ def kept(path: Path | None) -> bytes | None:
 
 
 def keep(path: Path | None, content: bytes) -> None:
-    """Write a file and rename it into place, so that no reader sees half of it.  A failure, as on a full disk, is
-    logged once for a folder, and leaves nothing there.
-    """
+    """Write a file, whole or not at all.  A failure, as on a full disk, is logged once for a folder."""
     if path is None:
         return
     try:

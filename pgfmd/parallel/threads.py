@@ -71,7 +71,7 @@ class Threads:
 
     def share(self, work: Callable[[int, int, int], None], total: int, block: int) -> None:
         """Call `work(thread, first, stop)` for each block of 0 … total−1, by the thread that is free first.  Raises
-        what a thread raises.
+        an error of any thread.
         """
         if self.count == 1 or total <= block:
             for first in range(0, total, block):
