@@ -16,6 +16,7 @@ import h5py
 import numpy as np
 import pytest
 from job_texts import SOLID
+from mpi4py import MPI
 
 from pgfmd.application import files, hdf5_slabs, job
 from pgfmd.application import writer as output
@@ -361,7 +362,7 @@ def test_both_transports_write_the_same_bytes(comm, shared_tmp_path, monkeypatch
     """
     if nodes != "one node":
         monkeypatch.setattr(files, "BLOCK_BYTES", 100)
-        monkeypatch.setattr(hdf5_slabs, "_first_of_node", lambda comm: comm.rank)
+        monkeypatch.setattr(hdf5_slabs, "node_of", lambda comm: MPI.COMM_SELF)
     for name, collective in (("together", hdf5_slabs.is_collective(comm)), ("in place", False)):
         monkeypatch.setattr(hdf5_slabs, "is_collective", lambda comm, collective=collective: collective)
         with writer(comm, shared_tmp_path / name, precision="float32") as result:

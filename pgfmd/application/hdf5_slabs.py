@@ -181,16 +181,11 @@ def _write_in_place(
     The ranks of a node write at the same time, the nodes in turn: network file systems may lose simultaneous writes of
     several nodes.
     """
-    mine = _first_of_node(comm)
+    mine = node_of(comm).bcast(comm.rank)  # the lowest rank of this node
     for turn in sorted(set(comm.allgather(mine))):
         with raise_together(comm):
             if turn == mine:
                 _put_rows(path, rows, fields, offsets)
-
-
-def _first_of_node(comm: MPI.Comm) -> int:
-    """The lowest rank of the node that this rank runs on.  Collective."""
-    return node_of(comm).bcast(comm.rank)
 
 
 def _put_rows(path: Path, rows: slice, fields: dict[str, Field], offsets: dict[str, int]) -> None:
