@@ -34,7 +34,7 @@ class EarlierResults:
     completed: number of loads up to the last one that is written; job: the effective job (None: there is nothing to
     continue); inputs: path → digest of each file that the job names; version: of the program and of the file format;
     fields: load → names of its fields; table_files: load → paths of its groups that have a file; folder: of all these
-    files; damaged: names of loads with a missing or damaged file (`load_0002`), and `height`.
+    files, and of new ones; damaged: names of loads with a missing or damaged file (`load_0002`), and `height`.
     """
 
     completed: int = 0

@@ -66,14 +66,14 @@ class ResultWriter:
         self.comm, self.directory, self.origin, self.form, self._mode = comm, Path(directory), origin, form, mode
         self._begun = False
         self._lock: OutputFolder | None = None
-        self.earlier, self.replacing, folder = from_root(comm, self._open_folder)
+        self.earlier, self.replacing = from_root(comm, self._open_folder)
         self.completed = self.earlier.completed
         self._written = self.earlier.fields.keys() - self.earlier.damaged  # loads whose files are undamaged
         self._provenance = cache(self._gather)
         self._observables = ObservablesFile(self.directory, form, patience)
-        self._fields = FieldFiles(comm, self.directory, folder, form, self._provenance)
+        self._fields = FieldFiles(comm, self.directory, self.earlier.folder, form, self._provenance)
         self._fields.links.update(self.earlier.links())
-        self.fields_folder = self.directory / folder
+        self.fields_folder = self.directory / self.earlier.folder
         self._sums = Sums(self.directory)
         try:
             with raise_together(comm):  # all ranks must see the folder
@@ -86,8 +86,8 @@ class ResultWriter:
             how = "through HDF5" if hdf5_slabs.is_collective(comm) else "each at its place (h5py has no MPI)"
             log.info("fields are written by all ranks, %s", how)
 
-    def _open_folder(self) -> tuple[EarlierResults, bool, str]:
-        """Lock the folder; what to continue, whether results are replaced, the folder of fields.  Rank 0."""
+    def _open_folder(self) -> tuple[EarlierResults, bool]:
+        """Lock the folder; what to continue, with the folder of fields, and whether results are replaced.  Rank 0."""
         folder = OutputFolder(self.directory)
         try:
             if (self.directory / files.ENSEMBLE_FILE).exists():
@@ -98,16 +98,14 @@ class ResultWriter:
                     f"{self.directory}: holds results already ({', '.join(there)}); replace them with "
                     "--overwrite, continue them with --restart, or choose another folder"
                 )
-            earlier, fields = EarlierResults(), files.FIELDS_FOLDER
-            replacing = self._mode == "overwrite" and files.OBSERVABLES_FILE in there
-            if self._mode == "restart" and files.OBSERVABLES_FILE in there:
+            earlier, results = EarlierResults(), files.OBSERVABLES_FILE in there
+            if results and self._mode == "restart":
                 earlier = restart.read(self.directory)
-                fields = earlier.folder
-            elif replacing:
-                fields = restart.other_folder(self.directory)
-            restart.refuse_foreign(self.directory, fields)
+            elif results:
+                earlier.folder = restart.other_folder(self.directory)
+            restart.refuse_foreign(self.directory, earlier.folder)
             self._lock = folder
-            return earlier, replacing, fields
+            return earlier, results and self._mode == "overwrite"
         finally:
             if self._lock is None:
                 folder.release()
