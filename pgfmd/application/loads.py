@@ -117,7 +117,9 @@ class Loads:
         self.targets, self.pending = job.imposed.targets, writer.pending
         self.unreachable: dict[int, Exception] = {}
         self.progress = Progress(comm.rank, len(self.pending), grid.shape, job.solver.tolerance)
-        self.checkpoints = Checkpoints(comm, writer.fields_folder, writer.form, of_first_load(job))
+        # A checkpoint belongs to jobs that agree in all but [run] and the loads after the first.
+        same = dataclasses.replace(job, run=Run(), load=job.load.imposing(job.load.targets[:1]))
+        self.checkpoints = Checkpoints(comm, writer.fields_folder, writer.form, as_toml(same))
         self.control = load_control(job.imposed, problem, job.solver.tolerance)
         if isinstance(self.control, Branch):
             self.control.monitor = self._follow
@@ -240,8 +242,3 @@ class Loads:
                 unit *= self.grid.size / (self.grid.reduction.sum(state.pressure) or 1.0)
         pressure = state.pressure if isinstance(state, ContactSolution) else pressure_in_place(self.grid, state)
         self.checkpoints.save(self._index, np.multiply(pressure, unit, dtype=self.grid.storage))
-
-
-def of_first_load(job: Job) -> str:
-    """The part of a job, as TOML, in which a checkpoint must agree: all but [run] and the loads after the first."""
-    return as_toml(dataclasses.replace(job, run=Run(), load=job.load.imposing(job.load.targets[:1])))
