@@ -6,13 +6,12 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
-from statistics import NormalDist
 
 import numpy as np
 
 from pgfmd.errors import InputError, Unreachable
 from pgfmd.grid.transforms import source
-from pgfmd.physics.problem import ContactProblem, Imposed
+from pgfmd.physics.problem import ContactProblem, Imposed, quantile
 from pgfmd.solvers.options import Load
 from pgfmd.solvers.solution import ContactSolution
 
@@ -41,10 +40,11 @@ def stress_of_full_contact(problem: ContactProblem, height: float = 1.0) -> floa
 class Control:
     """A quantity that is imposed on one surface, and its value for a solution.
 
-    jumps: whether the quantity is discontinuous in the load.
+    jumps: whether the quantity is discontinuous in the load.  tolerance_key: the key of its tolerance.
     """
 
     jumps = False
+    tolerance_key = "gap_tolerance"
 
     def __init__(self, problem: ContactProblem, load: Load):
         self.problem, self.options, self.grid = problem, load, problem.grid
@@ -108,13 +108,9 @@ class Control:
     def check_reachable(self, target: float) -> None:
         """Raises Unreachable for a target that no load gives.  Collective."""
 
-    def met_without_load(self, target: float) -> bool:
-        """Whether the target needs no load, p̄ = 0."""
-        return False
-
-    def separation(self, target: float) -> float:
-        """Distance of the solid from first contact, for a target that needs no load."""
-        return 0.0
+    def separation(self, target: float) -> float | None:
+        """Distance of the solid from first contact at a target that needs no load; None if it needs one."""
+        return None
 
     def guess(self, target: float) -> float:
         """An estimate of ln p̄ at the target.  Collective."""
@@ -137,13 +133,7 @@ class Control:
     @property
     def tolerance_text(self) -> str:
         """The key of the tolerance and its value, for messages."""
-        return f"load.gap_tolerance = {self.options.gap_tolerance:g}"
-
-    def met_to_a_pixel(self, found: ContactSolution, target: float) -> bool:
-        """Whether a value that `error` accepts misses the target by more than the tolerance, though by no more than one
-        pixel.  Collective.
-        """
-        return False
+        return f"load.{self.tolerance_key} = {getattr(self.options, self.tolerance_key):g}"
 
     def uncertainty(self, found: ContactSolution, target: float) -> float:
         """A bound of the value's error from the solution's certified error, over the tolerance, as `error`; 0 if none
@@ -173,6 +163,7 @@ class ContactArea(Control):
     """Relative contact area, to `area_tolerance` or one pixel."""
 
     jumps = True
+    tolerance_key = "area_tolerance"
 
     def check_reachable(self, target: float) -> None:
         """Raises Unreachable below the area of first contact, that of the highest points.  Collective."""
@@ -184,13 +175,7 @@ class ContactArea(Control):
             raise Unreachable(f"load.contact_area = {target:g}: not reachable, {first}")
 
     def imposed(self, target: float) -> Imposed | None:
-        """The area."""
         return Imposed(self.options.area_tolerance, area=target) if self.problem.law.kind == "hard" else None
-
-    @property
-    def tolerance_text(self) -> str:
-        """The key of the tolerance and its value, for messages."""
-        return f"load.area_tolerance = {self.options.area_tolerance:g}"
 
     def area(self, found: ContactSolution) -> float:
         """Relative contact area.  Collective."""
@@ -198,22 +183,14 @@ class ContactArea(Control):
 
     def guess(self, target: float) -> float:
         """Persson's theory: area = erf(p̄/√2 s).  Collective."""
-        return math.log(self.stress * self._quantile(target))
+        return math.log(self.stress * quantile(target, self.grid.size))
 
     def distance(self, found: ContactSolution, target: float) -> float:
         """ln of the ratio of the mean pressures of Persson's theory for the area found and the target: the theory is
         nearly right up to a factor on the load.  Collective.
         """
-        return math.log(self._quantile(self.area(found)) / self._quantile(target))
-
-    def _quantile(self, area: float) -> float:
-        """x with area = erf(x/√2); the area is kept half a point away from 0 and 1."""
-        half = 0.5 / self.grid.size
-        return NormalDist().inv_cdf((1 + min(max(area, half), 1 - half)) / 2)
-
-    def met_to_a_pixel(self, found: ContactSolution, target: float) -> bool:
-        """Whether the area misses the target by more than `area_tolerance` of it.  Collective."""
-        return abs(self.area(found) - target) > self.options.area_tolerance * target
+        size = self.grid.size
+        return math.log(quantile(self.area(found), size) / quantile(target, size))
 
     def error(self, found: ContactSolution, target: float) -> float:
         """|Area − target| over `area_tolerance` times the target, or over one pixel if that is more.  Collective."""
@@ -223,14 +200,10 @@ class ContactArea(Control):
 class Closure(ContactArea):
     """The load at which no path in the gap winds around the cell any more; where that is, `LoadControl` finds."""
 
-    def asked(self, target: float) -> str:
-        """The key and its value, for messages."""
-        return f'load.percolation = "{self.options.percolation}"'
+    tolerance_key = "percolation_accuracy"
 
-    @property
-    def tolerance_text(self) -> str:
-        """The key of the accuracy and its value, for messages."""
-        return f"load.percolation_accuracy = {self.options.percolation_accuracy:g}"
+    def asked(self, target: float) -> str:
+        return f'load.percolation = "{self.options.percolation}"'
 
     def check_target(self, target: float) -> None:
         """Raises InputError without a period, and on flat surfaces.  Collective."""
@@ -241,7 +214,6 @@ class Closure(ContactArea):
         """Not known before contacts are solved."""
 
     def imposed(self, target: float) -> Imposed | None:
-        """None: no solver meets it by itself."""
         return None
 
     def guess(self, target: float) -> float:
@@ -292,13 +264,10 @@ class MeanGap(Control):
             limit = f"below {self.summit - self.begin:g}" if by_gap else f"above {self.begin:g}"
             raise InputError(f"load.{name} = {target:g}: must be {limit}, where the wall ends and bears no load")
 
-    def met_without_load(self, target: float) -> bool:
-        """Whether the approach ends before first contact."""
-        return self.problem.law.releases and self.approach(target) <= 0
-
-    def separation(self, target: float) -> float:
-        """−approach."""
-        return -self.approach(target)
+    def separation(self, target: float) -> float | None:
+        """−approach where that ends before first contact, or None."""
+        approach = self.approach(target)
+        return -approach if self.problem.law.releases and approach <= 0 else None
 
     def guess(self, target: float) -> float:
         """ln of the sum of the law's pressure at the mean gap, and that of a hard wall at its smallest: the stress of
@@ -440,7 +409,6 @@ class Displacement(MeanGap):
             self.limit = math.inf
 
     def approach(self, target: float) -> float:
-        """The target itself."""
         return target
 
     def imposed(self, target: float) -> Imposed | None:
@@ -449,7 +417,6 @@ class Displacement(MeanGap):
         return found and replace(found, compliance=self.mean_compliance)
 
     def reached(self, found: ContactSolution) -> float:
-        """Displacement of the far side."""
         return self.displacement(found)
 
     def check_target(self, target: float) -> None:

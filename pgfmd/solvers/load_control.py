@@ -22,7 +22,7 @@ from pgfmd.parallel.collectives import shared
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.thin import is_thin
 from pgfmd.solvers.adhesive_branch import Branch
-from pgfmd.solvers.controls import CONTROLS, LEAST_ERROR
+from pgfmd.solvers.controls import CONTROLS, LEAST_ERROR, ContactArea
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.options import Load, Solver
 from pgfmd.solvers.solution import ContactSolution
@@ -101,8 +101,10 @@ class LoadControl:
         if self.name == "pressure":
             found = self._solved(target, self.tolerance, target)
             self._previous = found.mean_pressure, found.pressure
-        elif self.control.met_without_load(target):
-            found = self._separated(target)
+        elif (moved := self.control.separation(target)) is not None:  # the solid, undeformed, before first contact
+            found = self._solved(0.0, self.tolerance, target)
+            found.gap += moved
+            found = dataclasses.replace(found, mean_gap=found.mean_gap + moved, approach=found.approach - moved)
         else:
             self.control.check_reachable(target)
             found = self._aimed(target) or (self._closure if self.name == "percolation" else self._search)(target)
@@ -149,10 +151,13 @@ class LoadControl:
         return found
 
     def _note_pixel(self, found: ContactSolution, target: float) -> None:
-        """Says that a target is met to one pixel, if that is more than its tolerance.  Collective."""
-        if self.control.met_to_a_pixel(found, target) and self.grid.comm.rank == 0:
-            text = self.control.tolerance_text
-            log.info("%s: met to one pixel, which is more than %s", self.control.asked(target), text)
+        """Says that an area is met to one pixel, if that is more than its tolerance.  Collective."""
+        control = self.control
+        if not isinstance(control, ContactArea):
+            return
+        missed = abs(control.area(found) - target) > control.options.area_tolerance * target
+        if missed and self.grid.comm.rank == 0:
+            log.info("%s: met to one pixel, which is more than %s", control.asked(target), control.tolerance_text)
 
     def _search(self, target: float) -> ContactSolution:
         """Solves at one p̄ after another until the target is met, the solution's own error included.  Collective."""
@@ -257,13 +262,6 @@ class LoadControl:
         place.free()
         self._totals[1] += transforms * place.size / self.grid.size
         return math.log(pressure) if pressure > 0 else None
-
-    def _separated(self, target: float) -> ContactSolution:
-        """The solid, undeformed, at a target before first contact."""
-        found = self._solved(0.0, self.tolerance, target)
-        moved = self.control.separation(target)
-        found.gap += moved
-        return dataclasses.replace(found, mean_gap=found.mean_gap + moved, approach=found.approach - moved)
 
     def _solved(self, mean_pressure: float, tolerance: float, target: float) -> ContactSolution:
         """The contact at that mean pressure.  If it fails, the message says which key of the job asked for the
