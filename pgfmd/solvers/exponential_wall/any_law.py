@@ -12,12 +12,10 @@ needs no energy of the law in closed form.
 from __future__ import annotations
 
 import math
-from functools import partial
 
 import numpy as np
 
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.exponential_wall import loops
 from pgfmd.solvers.exponential_wall.newton import BACK, Merits, Newton
 from pgfmd.solvers.law_operations import LawState
 
@@ -79,11 +77,7 @@ class LawNewton(Newton):
             last = slope(1.0)
             if last <= abs(first) / 2 or first + 4 * slope(0.5) + last <= 0:  # Simpson's rule
                 break
-            # Towards the old state the gap is linear, so that no convolution is needed.
-            self.each(partial(loops.mix, fraction=BACK), old.pressure, state.pressure)
-            self.each(partial(loops.mix, fraction=BACK), old.gap, state.gap)
+            self.step_back(old.pressure, old.gap, state)
             first *= BACK
-            (work,) = self.total(loops.work, state.pressure, state.gap, self.heights)
-            state.work = float(work) / self.grid.size
         self.certify(state)
         return before

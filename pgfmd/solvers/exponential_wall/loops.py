@@ -79,38 +79,6 @@ def step(
 
 
 @_jit
-def newton_target(
-    pressure: np.ndarray, gap: np.ndarray, root: np.ndarray, sums: Pair, target: np.ndarray, compliance: float
-) -> None:
-    """target = compliance (p̂ + δp̂) − (g + response), δp̂ = √p̂ change: what the linearised step says of every point; sums
-    = (change, response).
-    """
-    change, response = sums
-    for i in range(gap.shape[0]):
-        for j in range(gap.shape[1]):
-            p = pressure[i, j] + root[i, j] * change[i, j]
-            target[i, j] = compliance * p - (gap[i, j] + response[i, j])
-
-
-@_jit
-def mix(old: np.ndarray, new: np.ndarray, fraction: float) -> None:
-    """new ← old + fraction (new − old)."""
-    for i in range(old.shape[0]):
-        for j in range(old.shape[1]):
-            new[i, j] = old[i, j] + fraction * (new[i, j] - old[i, j])
-
-
-@_jit
-def start_target(
-    coarse_pressure: np.ndarray, displacement: np.ndarray, heights: np.ndarray, compliance: float, target: np.ndarray
-) -> None:
-    """target = compliance · coarse p̂ − (u − h)."""
-    for i in range(target.shape[0]):
-        for j in range(target.shape[1]):
-            target[i, j] = compliance * coarse_pressure[i, j] - (displacement[i, j] - heights[i, j])
-
-
-@_jit
 def weight_and_potential(pressure: np.ndarray, gap: np.ndarray, zeta: float, least: float) -> tuple[float, float]:
     """(Σ exp((least − g)/ζ), Σ p̂ (g − least + ζ ln p̂))."""
     weight = potential = 0.0

@@ -94,13 +94,24 @@ class Newton(LawOperations):
             merits = self.merits(state)
             if merits[0] <= before[0] or merits[1] <= before[1]:
                 break
-            # Back towards the old state the objective is convex, and the gap linear, so that no convolution is needed.
-            self.each(partial(loops.mix, fraction=BACK), pressure, state.pressure)
-            self.each(partial(loops.mix, fraction=BACK), gap, state.gap)
-            (work,) = self.total(loops.work, state.pressure, state.gap, self.heights)
-            state.work = float(work) / self.grid.size
+            self.step_back(pressure, gap, state)
         self.certify(state)
         return merits
+
+    def step_back(self, pressure: np.ndarray, gap: np.ndarray, state: LawState) -> None:
+        """Shortens the step from an old pressure and gap to the part `BACK`.  On this way the objective is convex, and
+        the gap linear, so that no convolution is needed.  Collective.
+        """
+
+        def mix(old: np.ndarray, new: np.ndarray) -> None:
+            new -= old
+            new *= BACK
+            new += old
+
+        self.each(mix, pressure, state.pressure)
+        self.each(mix, gap, state.gap)
+        (work,) = self.total(loops.work, state.pressure, state.gap, self.heights)
+        state.work = float(work) / self.grid.size
 
     def merits(self, state: LawState) -> Merits:
         """The objective J, and the duality gap ζ⟨p̂ ln(p̂/σ̂)⟩ to the wall's answer σ̂ = exp(−g/ζ)/⟨exp(−g/ζ)⟩.
@@ -118,15 +129,15 @@ class Newton(LawOperations):
 
     def newton_target(self, state: LawState, wanted: float) -> np.ndarray:
         """α (p̂ + δp̂) − (g + Gδp̂) of a Newton step.  Collective."""
-        root, *sums = self.newton_step(state, wanted)
+        root, change, response = self.newton_step(state, wanted)
         target = self.grid.new_field()
 
-        def aim(first: int, stop: int) -> None:
+        def aim(_: int, first: int, stop: int) -> None:
             rows = slice(first, stop)
-            parts = sums[0][rows], sums[1][rows]
-            loops.newton_target(state.pressure[rows], state.gap[rows], root[rows], parts, target[rows], self.alpha)
+            pressure = state.pressure[rows] + root[rows] * change[rows]
+            target[rows] = self.alpha * pressure - (state.gap[rows] + response[rows])
 
-        self.grid.threads.split(aim, len(target))
+        self.grid.threads.share(aim, len(target), self.grid.band)
         return target
 
     def start(self, state: LawState, root: np.ndarray, residual: np.ndarray) -> tuple[float, float]:

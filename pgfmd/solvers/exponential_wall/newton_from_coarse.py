@@ -11,7 +11,6 @@ from pgfmd.grid.transfer import Interpolation
 from pgfmd.parallel.collectives import shared
 from pgfmd.physics.laws.exponential_law import ExponentialWall
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.exponential_wall import loops
 from pgfmd.solvers.exponential_wall.any_law import LawNewton
 from pgfmd.solvers.exponential_wall.newton import Newton
 from pgfmd.solvers.exponential_wall.newton_descent import descend
@@ -85,8 +84,8 @@ class NewtonIteration(NestedIteration[LawState]):
         solver = newton(problem)
 
         def part(thread: int, first: int, stop: int) -> None:
-            pressure, displacement = (interpolation.rows(which, first, stop, thread) for which in (1, 0))
-            loops.start_target(pressure, displacement, heights[first:stop], solver.alpha, target[first:stop])
+            displacement, pressure = (interpolation.rows(which, first, stop, thread) for which in (0, 1))
+            target[first:stop] = solver.alpha * pressure - (displacement - heights[first:stop])
 
         grid.threads.share(part, grid.local_shape[0], grid.band)
         state = LawState(grid.new_field(), grid.new_field(), level=found.level)
