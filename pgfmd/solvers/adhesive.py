@@ -36,7 +36,12 @@ Goal = Callable[[AdhesiveState], float]
 
 
 class AdhesiveContact(AdhesiveModel):
-    """The minimisation of the energy of one surface.  Collective to make."""
+    """The minimisation of the energy of one surface.  Collective to make.
+
+    see: called after each step.
+    """
+
+    see: Callable[[AdhesiveState], None] | None = None
 
     def around(self, gap: np.ndarray) -> np.ndarray:
         """A gap of the patch (nx_local, ny), and the gap beyond it that balances the forces there.  Collective."""
@@ -83,14 +88,7 @@ class AdhesiveContact(AdhesiveModel):
             np.subtract(self.law.least, state.gap, out=found, where=~self.free, casting="same_kind")
         return found, bent_down and self.largest(lambda s: np.abs(self.search[s])) > 0  # 0 if it underflows
 
-    def minimise(
-        self,
-        gap: np.ndarray,
-        hold: Hold,
-        tolerance: float,
-        see: Callable[[AdhesiveState], None] | None = None,
-        goal: Goal | None = None,
-    ) -> AdhesiveState:
+    def minimise(self, gap: np.ndarray, hold: Hold, tolerance: float, goal: Goal | None = None) -> AdhesiveState:
         """The minimum of the energy down from a gap, which becomes that of the minimum.  Collective.
 
         Ends when ⟨r, Gr⟩/2θ, θ estimated, is at most the tolerance, or a goal for the state, times 2 E_el.  Where no
@@ -98,7 +96,7 @@ class AdhesiveContact(AdhesiveModel):
         `certified_error`.  Raises SolverError if `MOST_STEPS` leave a larger error.
         """
         state = self.state(gap)
-        ended = self.lowered(state, hold, goal or (lambda _: tolerance), see)
+        ended = self.lowered(state, hold, goal or (lambda _: tolerance))
         if not state.error <= (max(1e3 * tolerance, 1e-9) if ended else tolerance):  # rounding
             raise SolverError(
                 f"adhesive contact: the energy error stays at {state.error:.1e}, above the tolerance {tolerance:.1e}; "
@@ -106,20 +104,18 @@ class AdhesiveContact(AdhesiveModel):
             )
         return state
 
-    def lowered(
-        self, state: AdhesiveState, hold: Hold, goal: Goal, see: Callable[[AdhesiveState], None] | None
-    ) -> bool:
+    def lowered(self, state: AdhesiveState, hold: Hold, goal: Goal) -> bool:
         """`minimise` on a state, in place; False if `MOST_STEPS` were taken.  Ends in double precision.  Collective."""
         radius, careful = RADIUS, 0
         while state.iterations < MOST_STEPS:
             found, down = self.direction(state, hold, goal(state), careful > 0)
             if hold.spring == 0 and hold.load < 0 and state.law > -GONE:
                 raise Unreachable(f"load.{hold.name}: no contact bears that tension, the surfaces separate")
-            if see is not None:
-                see(state)
+            if self.see is not None:
+                self.see(state)
             ended = not careful and ((state.error <= goal(state) and not down) or state.residual == 0)
             if not ended:
-                fell, radius = self.step(state, hold, (found, down), radius)
+                fell, radius = self.step(state, hold, found, down, radius)
                 ended = not fell and careful > 0
                 careful = max(careful - 1, 0) if fell else 2
             del found
@@ -140,13 +136,11 @@ class AdhesiveContact(AdhesiveModel):
         self.measure(state).single = False
 
     def step(
-        self, state: AdhesiveState, hold: Hold, ways: tuple[np.ndarray, bool], radius: float
+        self, state: AdhesiveState, hold: Hold, found: np.ndarray, both: bool, radius: float
     ) -> tuple[bool, float]:
-        """Moves the state by the first fraction of a direction that `moved` takes; False if it takes none.  Collective.
-
-        ways: Newton's direction, and whether `search` is added to it at first.
+        """Moves the state by the first fraction of Newton's direction `found` that `moved` takes; False if it takes
+        none.  both: whether `search` is added to it at first.  Also returns the next trust radius.  Collective.
         """
-        found, both = ways
         trials = [(found, HALVINGS)]
         if both:
             down = self.search

@@ -12,6 +12,7 @@ import logging
 import math
 import time
 from collections.abc import Iterable
+from functools import partial
 
 import numpy as np
 
@@ -34,7 +35,7 @@ KNOWN = 0.02  # relative error of a jump's energy loss at which bisection ends
 SUDDEN = 0.75  # part of a change of points within the range that one half of an interval has if it jumps there
 WARNED, REFUSED = 2.0, 0.8  # process zone in pixels: the edge of a straight contact errs by 1–2 % at 2, 5–11 % at .8
 NEAR_PIXELS = 4.0  # for μ_T ≤ 1
-PROBE = 4.0, 2.0, 1.0  # ranges of a probe over that of the law
+PROBE = 4.0, 2.0  # ranges of a probe over that of the law
 JUMP = "jump_from", "jump_to", "pressure_before_jump", "pressure_after_jump"
 START_ERROR = 1e-5  # certified error of the contact under a hard wall with which a search at a load begins
 FAR = 0.2  # largest distance t from the minimum, in ranges and over θ: more makes θ smaller
@@ -115,6 +116,7 @@ class Branch:
         """The contact at that target, on the branch of the last one.  Collective.  Raises SolverError."""
         began, transforms = time.perf_counter(), self.contact.grid.transforms
         self.contact.allocate()
+        self.contact.see = self.monitor and partial(self.monitor, self.grid)
         hold, way = self.hold(target), FOLLOWED
         jump, drop, gradual = (math.nan,) * 4, 0.0, False
         if self.last is None or self.load.branch != "follow":
@@ -153,10 +155,6 @@ class Branch:
             "inner_applications": state.inner,
         }, (began, transforms))  # fmt: skip
 
-    def _see(self, state: AdhesiveState) -> None:
-        if self.monitor is not None:
-            self.monitor(self.grid, state)
-
     def _cold(self, hold: Hold) -> AdhesiveState:
         """From the undeformed gap, or from the contact under the same work at longer ranges.  Collective."""
         contact = self.contact
@@ -166,19 +164,18 @@ class Branch:
             wall = self.problem.with_law(HardWall()).at(hold.load * contact.pressure / contact.share)
             with contextlib.suppress(SolverError):  # roughness that is lost beside the load
                 start = contact.around(solve_hard_wall(wall, START_ERROR).gap / contact.length + contact.law.least)
-        law, factors = self.problem.law, PROBE if self.load.branch == "probe" else (1.0,)
-        for factor in factors:
-            if factor == 1.0:
-                break
+        law = self.problem.law
+        for factor in PROBE if self.load.branch == "probe" else ():
             assert isinstance(law, RangedWall)
             softer = AdhesiveContact(self.problem.with_law(dataclasses.replace(law, range=law.range * factor)))
+            softer.see = contact.see
             longer = dataclasses.replace(
                 hold, gap=hold.gap / factor, load=hold.load * factor, spring=hold.spring * factor**2
             )
-            start = softer.minimise(start / factor, longer, 1e-4, self._see).gap * factor
+            start = softer.minimise(start / factor, longer, 1e-4).gap * factor
         if hold.fixed:
             contact.to_mean(start, hold.gap)
-        return contact.minimise(start, hold, self.tolerance, self._see, lambda state: self._goal(state, hold))
+        return contact.minimise(start, hold, self.tolerance, lambda state: self._goal(state, hold))
 
     def _from(self, last: Point, target: float, tolerance: float = 0.0, extrapolated: bool = False) -> AdhesiveState:
         """The contact at a target, from another.  extrapolated: by the last change, which is lost.  Collective."""
@@ -197,7 +194,7 @@ class Branch:
         if hold.fixed:
             self.contact.to_mean(gap, hold.gap)
         near = None if tolerance else lambda state: self._goal(state, hold)
-        return self.contact.minimise(gap, hold, max(self.tolerance, tolerance), self._see, near)
+        return self.contact.minimise(gap, hold, max(self.tolerance, tolerance), near)
 
     def _guess(self, state: AdhesiveState) -> float:
         """θ of a state, guessed from its last directions and the last contact."""
@@ -282,7 +279,7 @@ class Branch:
         for _ in range(TRIES):
             goal = min(goal, self._goal(state, hold, guess, worse))
             if goal < state.error:
-                contact.lowered(state, hold, lambda _, goal=goal: goal, self._see)  # type: ignore[misc]
+                contact.lowered(state, hold, lambda _, goal=goal: goal)  # type: ignore[misc]
             expected = worse * state.error * state.scale / 2
             if self.proven and (proof := proved(contact, state, hold, known, expected)):
                 return *proof, True

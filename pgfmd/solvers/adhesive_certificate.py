@@ -15,7 +15,7 @@ from collections.abc import Callable
 import numpy as np
 
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.grid.transforms import ColumnAction
+from pgfmd.grid.transforms import ColumnAction, source
 from pgfmd.physics.laws.adhesive_laws import AdhesiveWall
 from pgfmd.physics.solids.homogeneous import Homogeneous
 from pgfmd.solvers.adhesive import AdhesiveContact
@@ -85,7 +85,7 @@ def shake(contact: AdhesiveContact, start: np.ndarray, hold: Hold, actions: Acti
     """Adds noise n to a start whose ⟨r, Pr⟩ per point is about `square`; returns ⟨n, Pn⟩ per point.  Collective."""
     grid, added = contact.grid, noise(contact, hold)
     own, _ = apply(
-        grid, actions.soften, (added,), lambda rows, s: masked(rows, added[s], contact.free[s], contact.image[s])
+        grid, actions.soften, source(added), lambda rows, s: masked(rows, added[s], contact.free[s], contact.image[s])
     )
     if not own > 0:
         return 0.0
@@ -236,9 +236,6 @@ def is_m_matrix(contact: AdhesiveContact, action: ColumnAction, added: Stiffenin
     left[...] = 1
     v = np.zeros_like(left)
 
-    def fill(first: int, stop: int, rows: np.ndarray) -> None:
-        rows[...] = v[first:stop]
-
     def keep(first: int, stop: int, rows: np.ndarray) -> None:
         rows += added(slice(first, stop)) * v[first:stop]
         np.subtract(1, rows, out=left[first:stop], casting="same_kind")
@@ -260,7 +257,7 @@ def is_m_matrix(contact: AdhesiveContact, action: ColumnAction, added: Stiffenin
             if grid.reduction.min(v) <= 0:
                 break
             least.clear()
-            grid.convolve(fill, action, keep)
+            grid.convolve(source(v), action, keep)
             if grid.reduction.max(least) < -POSITIVE:
                 return True
     return False

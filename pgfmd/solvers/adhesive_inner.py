@@ -9,7 +9,7 @@ import numpy as np
 
 from pgfmd.grid.kernels import jit, u
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.grid.transforms import ColumnAction
+from pgfmd.grid.transforms import ColumnAction, RowAction, source
 from pgfmd.solvers.adhesive_model import Actions, AdhesiveModel
 
 MOST_INNER = 200
@@ -19,15 +19,10 @@ Enough = Callable[[float, float, Steps], bool]
 
 
 def apply(
-    grid: SlabGrid, action: ColumnAction, source: tuple[np.ndarray, ...], drain: Callable[..., tuple[float, float]]
+    grid: SlabGrid, action: ColumnAction, fill: RowAction, drain: Callable[[np.ndarray, slice], tuple[float, float]]
 ) -> np.ndarray:
-    """Sums of what `drain` returns of the rows of a convolution of the product of one or two fields, in single
-    precision.  Collective.
-    """
+    """Sums of what `drain` returns of the rows of a convolution in single precision.  Collective."""
     parts: dict[int, tuple[float, float]] = {}
-
-    def fill(first: int, stop: int, rows: np.ndarray) -> None:
-        np.multiply(source[0][first:stop], source[-1][first:stop] if source[1:] else np.float32(1), out=rows)
 
     def take(first: int, stop: int, rows: np.ndarray) -> None:
         parts[first] = drain(rows, slice(first, stop))
@@ -52,13 +47,16 @@ def conjugate_gradients(
     residual, x, steps = start, grid.new_field(np.float32), Steps()
     x[...] = d[...] = 0
 
+    def inner(first: int, stop: int, rows: np.ndarray) -> None:
+        np.multiply(residual[first:stop], model.free[first:stop], out=rows)
+
     def softened(rows: np.ndarray, s: slice) -> tuple[float, float]:
         if firm:
             np.divide(residual[s], -weight[s], out=rows, where=~model.free[s])
         return masked(rows, residual[s], free[s], z[s])
 
     def precondition() -> tuple[float, float]:
-        square, total = apply(grid, soften, (residual, model.free) if firm else (residual,), softened)
+        square, total = apply(grid, soften, inner if firm else source(residual), softened)
         return max(square, 0.0), total * inverse
 
     square, mean = precondition()
@@ -68,7 +66,7 @@ def conjugate_gradients(
             break
         turn = np.float32(square / before), np.float32(mean)
         threads.deal(lambda a, b, t=turn: turned(d[a:b], z[a:b], free[a:b], t), rows)  # type: ignore[misc]
-        bend, total = apply(grid, stiffen, (d,), lambda r, s: bent(r, d[s], weight[s], free[s], z[s]))
+        bend, total = apply(grid, stiffen, source(d), lambda r, s: bent(r, d[s], weight[s], free[s], z[s]))
         if not bend > 0:
             return x, True, first / grid.size, steps
         step, before = square / bend, square
