@@ -328,7 +328,7 @@ def test_tensions_are_cut_where_they_are(shape):
     pressure = old[grid.rows].copy()
     load = 1.1 * old.sum()
     problem = ContactProblem(grid, np.zeros_like(pressure), elastic(1.0), HardWall(), load / grid.size)
-    Feasible(problem).make(points, (pressure, np.zeros_like(pressure)))
+    Feasible(grid).make(problem, points, (pressure, np.zeros_like(pressure)))
     new = np.concatenate(comm.allgather(pressure))
     assert new.min() == 0 and new.sum() == pytest.approx(load, rel=1e-12, abs=0)
     before, after = (
@@ -346,7 +346,7 @@ def test_pressures_between_two_bounds_carry_the_load(load):
     old = np.where(mask, np.random.default_rng(4).standard_normal(grid.shape) + 0.8, 0)
     pressure, gap = old[grid.rows].copy(), np.random.default_rng(5).standard_normal(grid.shape)[grid.rows].copy()
     problem = ContactProblem(grid, np.zeros_like(pressure), elastic(2.0), Hardness(hardness=1.0), load)
-    Feasible(problem).make(points, (pressure, gap))
+    Feasible(grid).make(problem, points, (pressure, gap))
     new = np.concatenate(comm.allgather(pressure))
     assert new.min() >= 0 and new.max() <= 1 + 1e-14
     assert new.sum() == pytest.approx(load * grid.size, rel=1e-12, abs=0)

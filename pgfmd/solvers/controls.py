@@ -13,11 +13,11 @@ from pgfmd.errors import InputError, Unreachable
 from pgfmd.grid.transforms import source
 from pgfmd.physics.problem import ContactProblem, Imposed, quantile
 from pgfmd.solvers.options import Load
+from pgfmd.solvers.second_order import LEAST_ERROR
 from pgfmd.solvers.solution import ContactSolution
 
 EQUAL = 4 * np.finfo(float).eps  # over the largest height: points this close to the highest count as equally high
 TINY = 1e-300  # least argument of a logarithm, and tolerance of a gap
-LEAST_ERROR = 1e-24  # certified error below which the level's error is that of rounding, a few 1e-12, not √error
 CLOSING_AREA = 0.37  # in Persson's theory, of the load at which the gap of rough surfaces closes (.33 … .40)
 ROUNDED = 1e-6  # least part of the elastic energy that is not that of a uniform pressure, in bounds
 RESOLVED = 1e-9  # tolerance over the rms height down to which approaches are counted from the mean height

@@ -22,9 +22,10 @@ from pgfmd.parallel.collectives import shared
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.thin import is_thin
 from pgfmd.solvers.adhesive_branch import Branch
-from pgfmd.solvers.controls import CONTROLS, LEAST_ERROR, ContactArea
+from pgfmd.solvers.controls import CONTROLS, ContactArea
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.options import Load, Solver
+from pgfmd.solvers.second_order import LEAST_ERROR
 from pgfmd.solvers.solution import ContactSolution
 
 SolveAt = Callable[[ContactProblem, np.ndarray | None, float], ContactSolution]
@@ -111,8 +112,10 @@ class LoadControl:
         iterations, transforms, seconds = map(float, self._totals)
         return dataclasses.replace(found, iterations=int(iterations), transforms=transforms, seconds=seconds)
 
-    def _solve_at(self, mean_pressure: float, tolerance: float) -> ContactSolution:
-        """The contact at that mean pressure; the previous one starts it if their p̄ are `NEIGHBOURS`.  Collective."""
+    def _solved(self, mean_pressure: float, tolerance: float, target: float) -> ContactSolution:
+        """The contact at that mean pressure; the previous one starts it if their p̄ are `NEIGHBOURS`.  If it fails, the
+        message says which key of the job asked for the tolerance.  Collective.
+        """
         (before, pressure), start = self._previous or (0.0, None), self._resumed
         self._resumed = self._previous = None
         farthest = SOFT_NEIGHBOURS if self.problem.law.reach > 0 or is_thin(self.problem) else NEIGHBOURS
@@ -120,7 +123,16 @@ class LoadControl:
         if start is None and pressure is not None and near:  # kept while the next is solved: in single precision
             start = np.divide(pressure, before, out=np.empty(pressure.shape, np.float32), casting="same_kind")
         del pressure
-        found = self.solver(self.problem.at(mean_pressure), start, tolerance)
+        try:
+            found = self.solver(self.problem.at(mean_pressure), start, tolerance)
+        except SolverError as failure:
+            asked = f"solver.tolerance = {self.tolerance:g}"
+            if tolerance < self.tolerance:
+                asked = f"{self.control.tolerance_text} needs a certified error of {tolerance:.1e}"
+            elif tolerance > self.tolerance:
+                asked = f"not even a certified error of {tolerance:g} is reached on the way"
+            failure.args = (f"{self.control.asked(target)}: {asked}: {failure}",)
+            raise
         self._totals += found.iterations, found.transforms, found.seconds
         return found
 
@@ -262,21 +274,6 @@ class LoadControl:
         place.free()
         self._totals[1] += transforms * place.size / self.grid.size
         return math.log(pressure) if pressure > 0 else None
-
-    def _solved(self, mean_pressure: float, tolerance: float, target: float) -> ContactSolution:
-        """The contact at that mean pressure.  If it fails, the message says which key of the job asked for the
-        tolerance.  Collective.
-        """
-        try:
-            return self._solve_at(mean_pressure, tolerance)
-        except SolverError as failure:
-            asked = f"solver.tolerance = {self.tolerance:g}"
-            if tolerance < self.tolerance:
-                asked = f"{self.control.tolerance_text} needs a certified error of {tolerance:.1e}"
-            elif tolerance > self.tolerance:
-                asked = f"not even a certified error of {tolerance:g} is reached on the way"
-            failure.args = (f"{self.control.asked(target)}: {asked}: {failure}",)
-            raise
 
 
 def load_control(load: Load, problem: ContactProblem, tolerance: float = 1e-8) -> LoadControl | Branch:

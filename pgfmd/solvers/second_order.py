@@ -25,6 +25,7 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.solid import Solid
 
 DIGITS = 4.0  # relative error of pressures, from transforms and from their last digits, in units of the last digit
+LEAST_ERROR = 1e-24  # certified error below which the level's error is that of rounding, a few 1e-12, not √error
 SINGLE = 1e-3  # relative error of ‖ε‖_K, from a transform in single precision
 # Error of a convolution over that of its input, per √log₂ 2N, without and with primes above 13 in N: measured at most
 # .7 and 1.3.

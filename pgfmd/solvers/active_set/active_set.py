@@ -41,7 +41,7 @@ from pgfmd.solvers.active_set.continuation import (
 from pgfmd.solvers.active_set.particle_mesh import FullResponse, MeshResponse
 from pgfmd.solvers.active_set.unknowns import PIECE, Fields
 from pgfmd.solvers.patience import SOLVER_SHARE, STEPS, Patience, too_fine_for_single, uncertifiable
-from pgfmd.solvers.second_order import Rounding, certified, energy_of_residual
+from pgfmd.solvers.second_order import LEAST_ERROR, Rounding, certified, energy_of_residual
 
 Precision = type[np.float32] | type[np.float64]
 
@@ -51,7 +51,6 @@ CUT_POWER = 0.7  # after a step with the factor f on the error, the next one tak
 MARGIN: dict[Precision, float] = {np.float32: 0.4, np.float64: 0.15}
 WITHIN = 0.45  # a step aims at the tolerance if the factor for that is at least this part of the useful one
 LATE = 8  # steps at the tolerance that may be spent on meeting what is imposed
-LEAST = 1e-24  # certified error below which the level's error is that of rounding, a few 1e-12, not √error
 STUCK = 3  # steps without halving the least error, before double precision is taken
 WORST = 0.4  # largest error of a start that counts
 MOVED = 1e-4  # the same where an area or a gap is sought; at 1e-5 searches cost 5 % more
@@ -143,7 +142,7 @@ class Relaxation:
             if step == 0 and not self.exact:
                 tolerance = self.goal(estimate, tolerance, WORST if state.aim is None or state.clipped else MOVED)
             if self.imposed is not None and self.exact:
-                tolerance = min(asked, max(self.imposed.needed(self.measured(state)), LEAST))
+                tolerance = min(asked, max(self.imposed.needed(self.measured(state)), LEAST_ERROR))
             rounding = self.rounding_bound(state, precision) / (2 * state.energy) if state.energy > 0 else 0.0
             negligible = precision is np.float64 or rounding <= unseen * tolerance
             state.error = max(estimate, rounding)
@@ -258,10 +257,6 @@ class Relaxation:
             return 0.0
         error = max(square / (2 * state.energy) - self.enough, 0.0)
         return state.aim.pressure if state.aim.moves(self.measured(state), error) else 0.0
-
-    def set_load(self, mean_pressure: float) -> None:
-        """The load from now on."""
-        self.problem = self.problem.at(mean_pressure)
 
     def compute_gap(self, state: State, precision: Precision) -> None:
         """Sets the state's gap, of either sign; its base: the last λ, or 0 in double precision.  Collective."""

@@ -42,7 +42,7 @@ class Descent(PressureSteps):
         for trial in range(TRIALS + 1):
             np.add(pressure, step * direction, out=state.pressure)
             state.pressure[room <= step] = np.where(direction < 0, 0.0, self.highest)[room <= step]
-            self.feasible.make(points, (state.pressure, state.gap))
+            self.feasible.make(self.problem, points, (state.pressure, state.gap))
             if step <= furthest:
                 return
             self.compute_gap(state, self.precision)

@@ -66,7 +66,7 @@ class GapSteps(Relaxation):
         system = ConjugateGradients(residual, self.inner.apply, self.preconditioner.apply, mean)
         if self.imposed is not None:
             self._move_load(state, shift + system.constant)
-        work, self.squares[0], count = self.settling.settle(state.pressure, state.gap)
+        work, self.squares[0], count = self.settling.settle(state.pressure, state.gap, self.problem.load)
         state.energy, state.load = (work - self.mean * self.problem.load) / 2, self.problem.load
         state.contact = state.between = count
         state.level, self.hidden = 0.0, self.settling.energy()
@@ -74,13 +74,8 @@ class GapSteps(Relaxation):
         self.load_changed = pressure > 0
         if self.load_changed:
             system.lower(pressure - self.problem.mean_pressure)
-            self.set_load(pressure)
+            self.problem = self.problem.at(pressure)
         return system
-
-    def set_load(self, mean_pressure: float) -> None:
-        """The load from now on."""
-        super().set_load(mean_pressure)
-        self.settling.load = self.problem.load
 
     def _hold_mean(self, state: State) -> None:
         """Scales the gap to the imposed mean; clipping changed it little.  Collective."""
@@ -93,7 +88,7 @@ class GapSteps(Relaxation):
 
     def _move_load(self, state: State, change: float) -> None:
         """Adds to the mean pressure.  Collective."""
-        self.set_load(self.problem.mean_pressure + change)
+        self.problem = self.problem.at(self.problem.mean_pressure + change)
         rows = state.pressure
         self.grid.threads.deal(lambda a, b: np.add(rows[a:b], change, out=rows[a:b], casting="same_kind"), len(rows))
 

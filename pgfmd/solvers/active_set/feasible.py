@@ -13,6 +13,7 @@ import numpy as np
 
 from pgfmd.errors import SolverError
 from pgfmd.grid.kernels import jit, u
+from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.block_stiffness import BlockWindow
 from pgfmd.solvers.active_set.unknowns import Fields, Part, Points, Unknowns
@@ -26,19 +27,18 @@ Change = tuple[float, float, float]
 
 
 class Feasible:
-    """Makes pressures of a problem feasible.  Collective to make."""
+    """Makes pressures on one grid feasible.  Collective to make."""
 
-    def __init__(self, problem: ContactProblem) -> None:
-        self.problem, self.width = problem, (problem.grid.shape[1] - 1 >> SHIFT) + 1
-        self.window = BlockWindow(problem.grid, 1 << SHIFT, 2 * self.width, np.float64)
+    def __init__(self, grid: SlabGrid) -> None:
+        self.width = (grid.shape[1] - 1 >> SHIFT) + 1
+        self.window = BlockWindow(grid, 1 << SHIFT, 2 * self.width, np.float64)
 
-    def make(self, points: Unknowns, fields: Fields) -> None:
+    def make(self, problem: ContactProblem, points: Unknowns, fields: Fields) -> None:
         """Brings the pressure on the set between its bounds, and its sum to the load unless something else is imposed;
         if possible the sum over each block of pixels is kept, up to a common change (`scale_to_load`).  Collective.
         """
-        grid, load, highest = self.problem.grid, self.problem.load, self.problem.law.highest
+        grid, load, highest = problem.grid, problem.load, problem.law.highest
         pressure, window, lists = fields[0], self.window, points.lists
-        keeps_load = self.problem.imposed is None
         window.sum(lambda first, stop, sums: measure_blocks(pressure, lists, (first, stop), highest, sums))
         loads, bounded = window.own[:, : self.width], window.own[:, self.width :]
         np.maximum(loads, 0, out=loads)
@@ -48,14 +48,14 @@ class Feasible:
         if total <= CANCELLED * most:
             loads[...], total = bounded, most
         loads /= np.where(bounded > 0, bounded, 1)
-        if keeps_load and math.isinf(highest):
+        if problem.imposed is None and math.isinf(highest):
             loads *= load / total
         window.fetch()
         grid.threads.deal(
             lambda a, b: cut_in_blocks(pressure, lists, (window.start, a, b), highest, window.rows), len(pressure)
         )
         if math.isfinite(highest):
-            scale_to_load(self.problem, fields)
+            scale_to_load(problem, fields)
 
 
 @jit

@@ -43,13 +43,8 @@ class PressureSteps(Relaxation):
         grid, solid = problem.grid, problem.solid
         mean, action = 0.0 if grid.domain.wraps else solid.mean_mode(grid), self.compliance[np.float32]
         self.inner = inner_response(grid, solid.half_space_compliance, solid.compliance, action, mean)
-        self.feasible = Feasible(problem)
+        self.feasible = Feasible(grid)
         self.preconditioner = MultilevelStiffness(grid, solid.half_space_stiffness, solid.stiffness)
-
-    def set_load(self, mean_pressure: float) -> None:
-        """The load from now on."""
-        super().set_load(mean_pressure)
-        self.feasible.problem = self.problem
 
     def free(self) -> None:
         """Frees the transforms of the inner solver.  Collective."""
@@ -195,7 +190,7 @@ class PressureSteps(Relaxation):
             total = self.grid.reduction.sum(change.sum(dtype=np.float64))
             factor = max((self.next_load - state.load) / total, 0.0) if total else 0.0  # never the other way
             change *= np.float32(factor)
-            self.set_load((state.load + factor * total) / self.grid.size)
+            self.problem = self.problem.at((state.load + factor * total) / self.grid.size)
             self.next_load = 0.0
         state.iterations += steps
         return change
@@ -203,4 +198,4 @@ class PressureSteps(Relaxation):
     def _apply_change(self, state: State, points: Unknowns, change: np.ndarray) -> None:
         """Adds a change (count,) to the pressure, and makes that feasible.  Collective."""
         points.add(state.pressure, change)
-        self.feasible.make(points, (state.pressure, state.gap))
+        self.feasible.make(self.problem, points, (state.pressure, state.gap))

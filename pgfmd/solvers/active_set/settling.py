@@ -32,7 +32,7 @@ class Settling:
 
     def __init__(self, problem: ContactProblem) -> None:
         grid, (nx, ny) = problem.grid, (-(-n // SIDE) for n in problem.grid.shape)
-        self.grid, self.heights, self.load = grid, problem.heights, problem.load
+        self.grid, self.heights = grid, problem.heights
         self.width = (grid.shape[1] - 1 >> SHIFT) + 1
         self.window = BlockWindow(grid, 1 << SHIFT, 2 * self.width, np.float64)
         self.changes = BlockWindow(grid, SIDE, ny)
@@ -45,9 +45,9 @@ class Settling:
         """Frees the transforms of the mesh.  Collective."""
         self.mesh.free()
 
-    def settle(self, pressure: np.ndarray, gap: np.ndarray) -> tuple[float, float, int]:
-        """Makes a pressure (nx_local, ny) of clipped gaps feasible.  Returns ⟨p, h⟩, Σ p² and the number of points with
-        p > 0.  Collective.
+    def settle(self, pressure: np.ndarray, gap: np.ndarray, load: float) -> tuple[float, float, int]:
+        """Makes a pressure (nx_local, ny) of clipped gaps bear the load.  Returns ⟨p, h⟩, Σ p² and the number of points
+        with p > 0.  Collective.
 
         Raises SolverError if all points without a gap are in tension; the pressure is then uniform.
         """
@@ -57,9 +57,9 @@ class Settling:
         factors = np.clip(loads / np.where(feasible > 0, feasible, 1), 1 / MOST, MOST)
         total = self.grid.reduction.sum((factors * feasible).sum())
         if total == 0:
-            pressure[...] = self.load / self.grid.size
+            pressure[...] = load / self.grid.size
             raise SolverError("hard wall: all points without a gap are in tension; allow a larger tolerance")
-        loads[...] = factors * (self.load / total)
+        loads[...] = factors * (load / total)
         window.fetch()
         parts: list[tuple[float, ...]] = []
 

@@ -14,14 +14,13 @@ from scipy.linalg import cho_factor, cho_solve
 
 from pgfmd.grid.kernels import jit
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.grid.transforms import ColumnAction
+from pgfmd.grid.transforms import ColumnAction, sink, source
 
 NEAREST = 16
 DENSE = 400  # points of one rank up to which the whole matrix is factorised: in about the time of ten iterations on 64²
 WINDOW = 3  # cells each way, on three levels, among which the nearest points are sought
 LARGEST = 2**22  # points of a grid: each rank holds its kernel and the whole factor, as slabs alone miss long waves
 
-Kernel = np.ndarray
 
 
 class SparseStiffness:
@@ -30,19 +29,11 @@ class SparseStiffness:
     def __init__(self, grid: SlabGrid, compliance: ColumnAction) -> None:
         """compliance: acts as G over the number of points."""
         self.grid, self.comm = grid, grid.comm
-        pulse, rows = grid.new_field(), grid.new_field()
-        pulse[...] = 0
+        pulse, rows = np.zeros(grid.local_shape), grid.new_field()
         if grid.rows.start == 0:
             pulse[0, 0] = 1
-
-        def fill(first: int, stop: int, block: np.ndarray) -> None:
-            block[...] = pulse[first:stop]
-
-        def drain(first: int, stop: int, block: np.ndarray) -> None:
-            rows[first:stop] = block
-
-        grid.convolve(fill, compliance, drain)
-        self.kernel: Kernel = np.concatenate(grid.comm.allgather(rows))
+        grid.convolve(source(pulse), compliance, sink(rows))
+        self.kernel = np.concatenate(grid.comm.allgather(rows))
         self.kernel = self.kernel + abs(self.kernel[0, 0])  # its mean is 0: with a constant it is positive definite
         self.points: np.ndarray | None = None
 

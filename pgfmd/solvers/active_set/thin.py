@@ -179,7 +179,7 @@ class ThinSteps(Relaxation):
             state.gap[rows] += (factor - 1) * (state.gap[rows] + (rest[rows] + state.base))
 
         self.grid.threads.share(part, len(state.gap), self.grid.band)
-        self.set_load(mean_pressure)
+        self.problem = self.problem.at(mean_pressure)
         self.measure(state)
 
     def improve(self, state: State, system: ThinSystem, wanted: float, enough: float) -> None:  # type: ignore[override]
