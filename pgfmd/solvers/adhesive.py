@@ -61,9 +61,7 @@ class AdhesiveContact(AdhesiveModel):
             found += conjugate_gradients(self, start, none, self.actions(hold), lambda _, left, __: left <= 1e-8)[0]
         return found
 
-    def direction(
-        self, state: AdhesiveState, hold: Hold, tolerance: float, careful: bool
-    ) -> tuple[np.ndarray, bool]:
+    def direction(self, state: AdhesiveState, hold: Hold, tolerance: float, careful: bool) -> tuple[np.ndarray, bool]:
         """Newton's direction, and whether `search` is one of negative curvature.  careful: without W'' < 0, and
         points about to close are closed at once; else the first of them ends the step.  Collective.
         """

@@ -41,9 +41,7 @@ POSITIVE = 1e-3  # least value of Mv, of which 1 was asked, that rounding in dou
 Stiffening = Callable[[slice], np.ndarray]  # of some rows, added to K
 
 
-def estimated(
-    contact: AdhesiveContact, state: AdhesiveState, hold: Hold, far: float
-) -> tuple[float, float, float]:
+def estimated(contact: AdhesiveContact, state: AdhesiveState, hold: Hold, far: float) -> tuple[float, float, float]:
     """(θ, bound e of E − E* of the local minimum per point, least t that e allows), with D̄ for t = far.  Collective.
 
     θ is `RITZ` of the least eigenvalue of PA, 1 without D̄, by the conjugate gradients that give e: the least Ritz value
@@ -113,9 +111,7 @@ def distance(contact: AdhesiveContact, hold: Hold, floor: float, bound: float) -
     return 2 * math.sqrt(square / floor) if floor > 0 else math.inf
 
 
-def energy_error(
-    contact: AdhesiveContact, state: AdhesiveState, hold: Hold, added: Stiffening, floor: float
-) -> float:
+def energy_error(contact: AdhesiveContact, state: AdhesiveState, hold: Hold, added: Stiffening, floor: float) -> float:
     """The bound e of the energy error per point, for s = `added` and θ = floor.  Collective."""
     _, negative, first, steps = conjugate_gradients(
         contact, *firm(contact, state, hold, added), lambda _, left, __: left <= LEFT * floor

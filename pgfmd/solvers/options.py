@@ -96,9 +96,7 @@ def fullest(area: float, slabs: int) -> float:
 
 
 Sides = tuple[float, float]
-METHODS = tuple(
-    dict.fromkeys(method for law in LAWS.choices if issubclass(law, ContactLaw) for method in law.methods)
-)
+METHODS = tuple(dict.fromkeys(method for law in LAWS.choices if issubclass(law, ContactLaw) for method in law.methods))
 
 
 @dataclass(frozen=True, kw_only=True)

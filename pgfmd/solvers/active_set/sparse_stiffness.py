@@ -22,7 +22,6 @@ WINDOW = 3  # cells each way, on three levels, among which the nearest points ar
 LARGEST = 2**22  # points of a grid: each rank holds its kernel and the whole factor, as slabs alone miss long waves
 
 
-
 class SparseStiffness:
     """z = U Uᵀ r on the points of a mask (nx_local, ny), by all ranks alike.  Collective to make."""
 

@@ -191,4 +191,3 @@ class ThinSteps(Relaxation):
         np.maximum(state.pressure, 0.0, out=state.pressure)
         if self.imposed is None:
             scale_to_load(self.problem, (state.pressure, state.gap))
-

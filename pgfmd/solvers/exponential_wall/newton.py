@@ -57,9 +57,7 @@ class Newton(LawOperations):
         if self.alpha > STIFF_LOAD:
             self.precision = np.float64
 
-    def relax(
-        self, state: LawState, tolerance: float, monitor: Callable[[LawState], None] | None = None
-    ) -> LawState:
+    def relax(self, state: LawState, tolerance: float, monitor: Callable[[LawState], None] | None = None) -> LawState:
         """Iterate until the certified error is at most `tolerance`.  Overwrites and returns `state`.  Collective.
 
         Raises SolverError if the error stops falling above the tolerance, Uncertifiable if that is due to rounding.

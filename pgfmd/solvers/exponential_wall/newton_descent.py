@@ -59,9 +59,7 @@ class Descent(Newton):
         super().__init__(problem)
         self.source = source
 
-    def relax(
-        self, state: LawState, tolerance: float, monitor: Callable[[LawState], None] | None = None
-    ) -> LawState:
+    def relax(self, state: LawState, tolerance: float, monitor: Callable[[LawState], None] | None = None) -> LawState:
         """Steps until the certified error of the wall's answer is at most `tolerance`.  Overwrites and returns `state`.
         Collective.  Raises SolverError as `Newton.relax` does.
         """
