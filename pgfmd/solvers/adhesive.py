@@ -36,10 +36,7 @@ Goal = Callable[[AdhesiveState], float]
 
 
 class AdhesiveContact(AdhesiveModel):
-    """The minimisation of the energy of one surface.  Collective to make.
-
-    see: called after each step.
-    """
+    """The minimisation of the energy of one surface; `see` is called after each step.  Collective to make."""
 
     see: Callable[[AdhesiveState], None] | None = None
 

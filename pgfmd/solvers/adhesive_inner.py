@@ -144,9 +144,7 @@ def turned(direction: np.ndarray, z: np.ndarray, free: np.ndarray, turn: tuple[f
 
 @jit
 def advanced(pair: Pair, moved: Pair, free: np.ndarray, move: tuple[float, float]) -> None:
-    """x += step · d and r −= step · (image − mean) on free points; pair: (x, r), moved: (d, image), move: (step,
-    mean).
-    """
+    """x += step · d, r −= step · (image − mean) on free points; pair: (x, r), moved: (d, image), move: (step, mean)."""
     x, r = pair
     d, image = moved
     for i in range(x.shape[0]):

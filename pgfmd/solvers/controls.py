@@ -117,9 +117,7 @@ class Control:
         raise NotImplementedError
 
     def distance(self, found: ContactSolution, target: float) -> float:
-        """Value minus target of the imposed quantity, in a coordinate that is nearly linear in ln p̄, and increases.
-        Collective.
-        """
+        """Value minus target, in a coordinate that increases and is nearly linear in ln p̄.  Collective."""
         raise NotImplementedError
 
     def error(self, found: ContactSolution, target: float) -> float:
@@ -136,9 +134,7 @@ class Control:
         return f"load.{self.tolerance_key} = {getattr(self.options, self.tolerance_key):g}"
 
     def uncertainty(self, found: ContactSolution, target: float) -> float:
-        """A bound of the value's error from the solution's certified error, over the tolerance, as `error`; 0 if none
-        is known.
-        """
+        """Bound on the value's error implied by `certified_error`, over the tolerance; 0 if none is known."""
         return 0.0
 
     def displacement(self, found: ContactSolution) -> float:
@@ -186,9 +182,7 @@ class ContactArea(Control):
         return math.log(self.stress * quantile(target, self.grid.size))
 
     def distance(self, found: ContactSolution, target: float) -> float:
-        """ln of the ratio of the mean pressures of Persson's theory for the area found and the target: the theory is
-        nearly right up to a factor on the load.  Collective.
-        """
+        """ln of p̄(area)/p̄(target) by Persson's theory, nearly right up to a factor on the load.  Collective."""
         size = self.grid.size
         return math.log(quantile(self.area(found), size) / quantile(target, size))
 
@@ -252,9 +246,7 @@ class MeanGap(Control):
         return Imposed(allowed, self.approach(target))
 
     def check_target(self, target: float) -> None:
-        """Raises InputError for full contact, where any load is possible, and for a gap beyond the law's last under one
-        that needs a load.  Collective.
-        """
+        """Raises InputError for full contact, which any load gives, and for gaps beyond the law's last.  Collective."""
         super().check_target(target)
         name, by_gap = self.options.control, self.options.control == "mean_gap"
         if self.approach(target) >= self.limit:

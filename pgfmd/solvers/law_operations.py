@@ -23,9 +23,7 @@ ROUNDED = 1e-15  # relative excess over the highest pressure that counts as roun
 
 @dataclass
 class LawState:
-    """p̂ and g (nx_local, ny) on one grid, and what is known about them; `error` is the bound on J(p̂) − J(p̂*) over
-    ⟨p̂, Gp̂⟩.
-    """
+    """p̂ and g (nx_local, ny) on one grid, and what is known of them; error: bound on J(p̂) − J(p̂*) over ⟨p̂, Gp̂⟩."""
 
     pressure: np.ndarray
     gap: np.ndarray
@@ -75,9 +73,7 @@ class LawOperations:
         state.work, self.squares = float(work) / self.grid.size, np.array(squares)
 
     def total(self, function: Callable[..., float | tuple[float, ...]], *fields: np.ndarray) -> np.ndarray:
-        """The sums over all rows of all ranks of what a function returns for the same rows of some fields.
-        Collective.
-        """
+        """The sums over all rows of all ranks of what a function returns for rows of some fields.  Collective."""
         parts = self.grid.threads.collect(
             lambda a, b: np.atleast_1d(function(*(field[a:b] for field in fields))), self.grid.local_shape[0]
         )
@@ -120,9 +116,7 @@ class LawOperations:
 
     @staticmethod
     def arrived(state: LawState, tolerance: float) -> bool:
-        """Whether the certified error is at most the tolerance.  Raises Uncertifiable if rounding is more than that,
-        and most of the error.
-        """
+        """Whether the error is at most the tolerance.  Raises Uncertifiable if more is left, mostly rounding."""
         if tolerance < state.rounding and state.error < 4 * state.rounding:  # as long as more is left, the error falls
             raise uncertifiable(state.rounding, tolerance)
         return state.error <= tolerance

@@ -91,9 +91,7 @@ class NestedIteration(Generic[StateType]):
         return state, transforms
 
     def _solve_coarse(self, problem: ContactProblem, coarse: Coarse) -> tuple[StateType, float]:
-        """The solution on the coarser grid, without rows on ranks that hold none, and transforms in units of that grid.
-        Collective.
-        """
+        """Solves on the coarse grid; ranks without it get no rows.  Also returns its transforms.  Collective."""
 
         def solve(grid: SlabGrid) -> tuple[StateType, float]:
             found, transforms = self.solve(problem.on(grid, coarse.heights), False)

@@ -84,10 +84,7 @@ class Dimensionless:
             raise Uncertifiable(f"mean pressure = {mean:g}: the elastic energy is lost in the pressure's last digits")
 
     def _uniform(self, heights: np.ndarray) -> ContactSolution:
-        """A pressure that is the same everywhere; without a load the highest point touches.  Collective.
-
-        heights: the dimensionless ones, overwritten.
-        """
+        """A uniform pressure; without a load the highest point touches.  heights: overwritten.  Collective."""
         mean, law = float(self.physical.mean_pressure), self.physical.law
         summit = self._heights.top * self._heights.unit
         mean_gap = law.gap(mean, self.physical.solid) if mean > 0 else summit
@@ -170,9 +167,7 @@ class Dimensionless:
         )
 
     def _lower(self, pressure: np.ndarray, gap: np.ndarray) -> tuple[float, float]:
-        """Lowers the raised points to their own heights again.  Returns by how much the mean gap grows, and the work of
-        the pressure on these points.  Collective.
-        """
+        """Lowers raised points again; returns the growth of the mean gap, the pressure's work on them.  Collective."""
         grid, heights, made = self.physical.grid, self.physical.heights, self._heights
 
         def lower(first: int, stop: int) -> tuple[float, float]:
@@ -332,9 +327,7 @@ def dimensionless_heights(problem: ContactProblem, overwrite: bool = False) -> H
     out = heights if overwrite and depth == math.inf else grid.new_field()
 
     def rescale(size: float) -> tuple[float, float]:
-        """Sets `out` to heights in units of `size`, counted from the highest one and raised to −1 where they are lower;
-        returns their mean and standard deviation.
-        """
+        """Sets `out` to max((heights − high)/size, −1); returns its mean and standard deviation."""
         parts = threads.collect(lambda a, b: _rescale_rows(heights[a:b], high, size, out[a:b]), rows, grid.band)
         return _spread(grid, parts)
 

@@ -23,9 +23,7 @@ class Patience:
         return self.steps - self.left
 
     def take(self, error: float, best: float | None = None) -> bool:
-        """Counts a step that left this error; returns whether to go on.  best: the bound to report, where `error` is
-        only an estimate.
-        """
+        """Counts a step; returns whether to go on.  best: the bound to report, where `error` is an estimate."""
         self.left = self.steps if error < 0.5 * self.best else self.left - 1
         self.best = min(self.best, error if best is None else best)
         return self.left > 0
@@ -50,9 +48,7 @@ SOLVER_SHARE = 0.8  # part of the tolerance that is the solver's, where pressure
 
 
 def too_fine_for_single(least: float) -> Uncertifiable:
-    """What to raise where fields stored in single precision cannot be certified to the tolerance, only to about
-    `least`.
-    """
+    """What to raise where single precision cannot certify the tolerance, only about `least`."""
     return Uncertifiable(
         f"the error cannot be certified below about {least:.1e}, by rounding in single precision; allow a larger "
         'tolerance, or take solver.storage = "float64"'

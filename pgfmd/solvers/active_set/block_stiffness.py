@@ -113,9 +113,7 @@ class Blocks:
             self.coarser.prepare(_sums_of(self.counts))
 
     def split(self, residuals: Sums, exchange: Exchange) -> None:
-        """Sets the window to the means of the residuals, and the loads for `join` to 0; adds to the exchange what
-        `respond` needs.  Collective.
-        """
+        """Sets window to means of the residuals, loads to 0; adds what `respond` needs to the exchange.  Collective."""
         self.window.sum(residuals)
         self._answers, self.loads[...] = Exchange(self.window.plan.comm), 0
         exchange.relay(self._gather, self.window.own.copy(), self.residuals)

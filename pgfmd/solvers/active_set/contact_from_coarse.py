@@ -187,9 +187,7 @@ class ActiveSetIteration(NestedIteration[State]):
         return state
 
     def _relaxed(self, problem: ContactProblem, state: State, steps: type[Relaxation], exact: bool) -> Relaxation:
-        """Relaxes a state by these steps; if the error stops falling at a given load, by steps that lower the energy
-        each time.  Returns the freed solver.  Collective.
-        """
+        """Relaxes by these steps, at a given load by `Descent` if they fail.  Returns the freed solver.  Collective."""
         solver, given = steps(problem, exact), problem.imposed is None
         while True:
             try:

@@ -93,9 +93,7 @@ def _higher(problem: ContactProblem, depth: float, least: tuple[int, int] = (1, 
 
 
 def _estimate(problem: ContactProblem) -> tuple[float, float]:
-    """How far below the highest point contact may reach, with a margin, inf if that is not worth knowing; and the
-    transforms spent.  Collective.
-    """
+    """Largest depth of contact below the highest point, inf if not worth knowing; and transforms spent.  Collective."""
     grid, imposed = problem.grid, problem.imposed
     top = grid.reduction.max(problem.heights)
     height = top - grid.reduction.min(problem.heights)
@@ -130,9 +128,7 @@ def _level(problem: ContactProblem, halvings: int) -> tuple[float, float]:
 def _on_rectangle(
     problem: ContactProblem, box: Rectangle, tolerance: float, start: np.ndarray | None, monitor: Monitor | None
 ) -> tuple[ContactSolution, bool]:
-    """The solution of a rectangle, continued to the patch, and whether it is proved to be that of the patch.
-    Collective.
-    """
+    """The solution of a rectangle, continued to the patch, and whether it is proved to be the patch's.  Collective."""
     grid, solid, ((top, bottom), (left, right)) = problem.grid, problem.solid, box
     shape, (ax, ay) = (bottom - top, right - left), grid.spacing
     wide = grid.like(grid.comm, grid.shape, grid.lengths, Cropped(box=box))

@@ -29,9 +29,7 @@ class Descent(PressureSteps):
     patience, most_steps = 60, 2000
 
     def improve(self, state: State, system: ConjugateGradients, wanted: float, enough: float) -> None:
-        """A step towards the solution for the points that leave their bounds, shortened until it lowers the energy
-        enough; `wanted` and `enough` do not matter.  Collective.
-        """
+        """A step shortened until it lowers the energy enough; `wanted` and `enough` do not matter.  Collective."""
         reduction, pressure, gap = self.grid.reduction, state.pressure.copy(), state.gap - state.level
         points, direction = self._direction(state)
         with np.errstate(divide="ignore", invalid="ignore"):

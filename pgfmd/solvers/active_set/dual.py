@@ -50,9 +50,7 @@ class GapSteps(Relaxation):
         self.settling.free()
 
     def linearise(self, state: State, precision: Precision) -> ConjugateGradients:
-        """Computes the pressure of the gap and settles it.  The system makes the pressure vanish on the unknowns.
-        Collective.
-        """
+        """Computes the pressure of the gap and settles it.  The system makes it vanish on the unknowns.  Collective."""
         if not state.clipped:
             if not state.estimated:
                 self.compute_gap(state, precision)
@@ -149,9 +147,7 @@ class GapSteps(Relaxation):
         return self.bound(state, precision)
 
     def improve(self, state: State, system: ConjugateGradients, wanted: float, enough: float) -> None:
-        """Reduces the pressure on the open set by a part of the factor `wanted`, and makes the gap feasible.
-        Collective.
-        """
+        """Reduces the pressure on the open set by a part of `wanted`, and makes the gap feasible.  Collective."""
         last = wanted**2 < 1.01 * enough
         if not state.clipped:  # a certificate failed: the gap before it belongs to the system
             state.gap[...] = 0.0

@@ -86,9 +86,7 @@ class MeshResponse:
         self.grid.transforms += 0.5 * self.place.work * self.place.size / self.grid.size
 
     def _respond(self, mesh: SlabGrid, values: SetVector, pieces: list[Piece]) -> None:
-        """The smooth part of the response, on this rank's rows of the mesh.  pieces: (first row, rows) that others
-        spread there.  Collective over the mesh.
-        """
+        """The far part of the response; pieces: (first row, rows) that others spread here.  Collective on the mesh."""
         begin = self.window.begin
 
         def fill(first: int, stop: int, block: np.ndarray) -> None:

@@ -83,9 +83,7 @@ class MultilevelStiffness:
 
 @jit
 def block_sums(values: np.ndarray, points: Points, part: Part, sums: np.ndarray) -> None:
-    """sums[(i − first) >> SHIFT, columns[k] >> SHIFT] += values[k] for the points k of those of rows first … stop−1
-    that exist.
-    """
+    """sums[(i − first) >> SHIFT, columns[k] >> SHIFT] += values[k] for points k of rows first … stop−1 that exist."""
     columns, offsets = points
     first, stop = part
     for i in range(max(first, 0), min(stop, offsets.size - 1)):

@@ -133,9 +133,7 @@ class PressureSteps(Relaxation):
         return ConjugateGradients(points.below(level, state.gap), self.inner.apply, self.preconditioner.apply, mean)
 
     def left(self, wanted: float, enough: float) -> float:
-        """As `Relaxation.left`.  If the part `enough` is out of reach of one step (`CLOSE`), the first of two does more
-        than half of the work.
-        """
+        """As `Relaxation.left`; where one step cannot leave `enough` (`CLOSE`), the first of two does most."""
         if not isinstance(self.inner, MeshResponse) or self.highest < math.inf:
             return super().left(wanted, enough)
         return enough if enough > CLOSE else max(math.sqrt(enough) / 10, LEAST_PART)
@@ -168,10 +166,7 @@ class PressureSteps(Relaxation):
             wanted = min(MOST_LEFT, (system.square / square) ** CUT_POWER)
 
     def _respond(self, state: State, near: Unknowns, before: np.ndarray) -> None:
-        """Adds to the gap of some points what the change of their pressures makes of it, by the mesh.  Collective.
-
-        before: these pressures (count,) before the change.
-        """
+        """Adds to the gap the mesh's response to the change of pressures, which were `before` (count,).  Collective."""
         change, response = SetVector(near), np.empty(near.count, np.float32)
         change.own[...] = near.values(state.pressure) - before  # of pressures of double precision, if they have it
         self.inner.apply(change, response)
@@ -182,9 +177,7 @@ class PressureSteps(Relaxation):
         self._apply_change(state, system.points, self._solve_for_change(state, system, wanted))
 
     def _solve_for_change(self, state: State, system: ConjugateGradients, wanted: float) -> np.ndarray:
-        """The change of the pressure (count,) that reduces the gap's deviation from a constant on the unknowns by the
-        factor `wanted`.  Collective.
-        """
+        """The change (count,) of the pressure that cuts the system's residual by the factor `wanted`.  Collective."""
         change, steps = system.solve(MOVE_CUT if self.next_load else wanted)
         if self.next_load:
             total = self.grid.reduction.sum(change.sum(dtype=np.float64))

@@ -114,9 +114,7 @@ class Newton(LawOperations):
         state.work = float(work) / self.grid.size
 
     def merits(self, state: LawState) -> Merits:
-        """The objective J, and the duality gap ζ⟨p̂ ln(p̂/σ̂)⟩ to the wall's answer σ̂ = exp(−g/ζ)/⟨exp(−g/ζ)⟩.
-        Collective.
-        """
+        """J, and the duality gap ζ⟨p̂ ln(p̂/σ̂)⟩ to the wall's answer σ̂ = exp(−g/ζ)/⟨exp(−g/ζ)⟩.  Collective."""
         count, least, zeta = self.grid.size, self.grid.reduction.min(state.gap), self.zeta
         fields = state.pressure, state.gap
         weight, potential = self.total(partial(loops.weight_and_potential, zeta=zeta, least=least), *fields)
@@ -141,9 +139,7 @@ class Newton(LawOperations):
         return target
 
     def start(self, state: LawState, root: np.ndarray, residual: np.ndarray) -> tuple[float, float]:
-        """Fills √p̂ and the right-hand side of Newton's equation, of which it returns Σ residual², and Σ p̂.
-        Collective.
-        """
+        """Fills √p̂ and the right-hand side of Newton's equation; returns Σ residual² of it, and Σ p̂.  Collective."""
         fields = state.pressure, state.gap
         level = float(self.total(partial(self.law.moments, threshold=0.0), *fields)[0]) / self.grid.size
         first = partial(loops.newton_start, zeta=self.zeta, level=level)
@@ -151,9 +147,7 @@ class Newton(LawOperations):
         return float(square), float(self.grid.size)
 
     def newton_step(self, state: LawState, wanted: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """√p̂, y and G√p̂y (nx_local, ny) of a Newton step δp̂ = √p̂ y.  Conjugate gradients reduce the residual of its
-        linear equation by the factor `wanted`.  Collective.
-        """
+        """√p̂, y and G√p̂y (nx_local, ny) of a step δp̂ = √p̂ y; its linear residual falls by `wanted`.  Collective."""
         grid, zeta, real = self.grid, self.zeta, self.precision
         root, residual, direction, product, change, response = np.zeros((6, *grid.local_shape), real)
         square, mass = self.start(state, root, residual)
@@ -208,9 +202,7 @@ class LawNewton(Newton):
         np.minimum(self.slope, STIFFEST / self.alpha, out=self.slope)
 
     def start(self, state: LawState, root: np.ndarray, residual: np.ndarray) -> tuple[float, float]:
-        """Fills w and −w (g − e − c) with c such that Σ w × that is 0; returns the sum of its squares, and Σ w².
-        Collective.
-        """
+        """Fills w and −w (g − e − c), c such that Σ w × that is 0; returns Σ of its squares, and Σ w².  Collective."""
         self.linearise(state.pressure)
         sums = self.grid.reduction
         mass = sums.sum(self.slope)

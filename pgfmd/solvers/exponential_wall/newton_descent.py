@@ -60,9 +60,7 @@ class Descent(Newton):
         self.source = source
 
     def relax(self, state: LawState, tolerance: float, monitor: Callable[[LawState], None] | None = None) -> LawState:
-        """Steps until the certified error of the wall's answer is at most `tolerance`.  Overwrites and returns `state`.
-        Collective.  Raises SolverError as `Newton.relax` does.
-        """
+        """As `Newton.relax`, by steps of the source; the state becomes the wall's answer to it.  Collective."""
         patience = Patience(MOST // 2)
         self.answer(state)
         for _ in range(MOST):
