@@ -122,9 +122,7 @@ class LawOperations:
         return state.error <= tolerance
 
     def respond(self, state: LawState, target: np.ndarray, compliance: float) -> None:
-        """The law's answer p̂ with compliance · p̂ − gap(p̂) = target + c, with c such that its mean is 1; the search
-        begins at the state's c.  Collective.
-        """
+        """The law's answer of mean 1: compliance · p̂ − gap(p̂) = target + c, begun at c of `state`.  Collective."""
         count, level, low, high = self.grid.size, state.level, -np.inf, np.inf
         enough = 1e-14 * count  # a factor on p̂ corrects the rest
         for _ in range(200):

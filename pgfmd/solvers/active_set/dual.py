@@ -63,7 +63,11 @@ class GapSteps(Relaxation):
         residual, mean = points.below(-shift, state.pressure), FREE if self.imposed is None else NEUTRAL
         system = ConjugateGradients(residual, self.inner.apply, self.preconditioner.apply, mean)
         if self.imposed is not None:
-            self._move_load(state, shift + system.constant)
+            change, rows = shift + system.constant, state.pressure
+            self.problem = self.problem.at(self.problem.mean_pressure + change)
+            self.grid.threads.deal(
+                lambda a, b: np.add(rows[a:b], change, out=rows[a:b], casting="same_kind"), len(rows)
+            )
         work, self.squares[0], count = self.settling.settle(state.pressure, state.gap, self.problem.load)
         state.energy, state.load = (work - self.mean * self.problem.load) / 2, self.problem.load
         state.contact = state.between = count
@@ -83,12 +87,6 @@ class GapSteps(Relaxation):
         if not (total := self.grid.reduction.sum(parts)) > 0:
             raise SolverError("full contact: no gap is left; allow a larger load.gap_tolerance")
         threads.scale(gap, -self.imposed.approach * self.grid.size / total)
-
-    def _move_load(self, state: State, change: float) -> None:
-        """Adds to the mean pressure.  Collective."""
-        self.problem = self.problem.at(self.problem.mean_pressure + change)
-        rows = state.pressure
-        self.grid.threads.deal(lambda a, b: np.add(rows[a:b], change, out=rows[a:b], casting="same_kind"), len(rows))
 
     def measured(self, state: State) -> Measured:
         """As `Relaxation.measured`; the level of a clipped gap is that of its mean."""

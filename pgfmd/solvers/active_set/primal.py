@@ -106,13 +106,14 @@ class PressureSteps(Relaxation):
         """
         self.measure(state)
         if (imposed := self.imposed) is None:
-            system = self._aimed_at(state, (state.level, state.level), NEUTRAL, loaded_only)
+            touching = -math.inf if loaded_only else state.level
+            system = self._aimed_at(state, state.level, touching, NEUTRAL)
             if loaded_only or not (pressure := self.next_pressure(state, system.square)):
                 return system
             del system  # its vectors
             at, self.next_load = self.measured(state), pressure * self.grid.size
             level = state.level + at.range * (self.next_load / state.load - 1)
-            return self._aimed_at(state, (level, state.level), Mean(False, 0.0, state.load / at.range))
+            return self._aimed_at(state, level, touching, Mean(False, 0.0, state.load / at.range))
         if not (state.load > 0 and state.energy > 0):
             raise SolverError("contact is lost; allow a larger tolerance")
         at, compliance = self.measured(state), imposed.compliance / self.grid.size
@@ -120,15 +121,10 @@ class PressureSteps(Relaxation):
         aim = state.aim = state.aim or Aim(imposed)
         aim.follow(at, -math.inf if self.exact else (LIGHTEST - 1) * self.summit)
         level = aim.level - state.base
-        return self._aimed_at(state, (level, level), mean, loaded_only)
+        return self._aimed_at(state, level, -math.inf if loaded_only else level, mean)
 
-    def _aimed_at(
-        self, state: State, levels: tuple[float, float], mean: Mean, loaded_only: bool = False
-    ) -> ConjugateGradients:
-        """The system that brings the gap of the unknowns to the first level; points with a gap below the second are
-        unknowns.  Collective.
-        """
-        level, touching = levels[0], -math.inf if loaded_only else levels[1]
+    def _aimed_at(self, state: State, level: float, touching: float, mean: Mean) -> ConjugateGradients:
+        """The system that brings the gap of unknowns to `level`; gaps below `touching` are unknowns.  Collective."""
         points = Unknowns(self.grid, (state.pressure, state.gap), touching, self.highest)
         return ConjugateGradients(points.below(level, state.gap), self.inner.apply, self.preconditioner.apply, mean)
 
