@@ -17,7 +17,7 @@ from pgfmd.physics.laws.hard import Hardness, HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers import dispatch
 from pgfmd.solvers.active_set.active_set import State
-from pgfmd.solvers.active_set.descent import Descent
+from pgfmd.solvers.active_set.primal import Descent
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.options import Solver
 from pgfmd.surfaces.self_affine import self_affine

@@ -16,10 +16,9 @@ from pgfmd.physics.problem import Aim, ContactProblem, Measured
 from pgfmd.physics.solids.solid import multiply
 from pgfmd.solvers.active_set.active_set import Relaxation, State
 from pgfmd.solvers.active_set.balance import balanced
-from pgfmd.solvers.active_set.descent import Descent
 from pgfmd.solvers.active_set.dual import GapSteps
 from pgfmd.solvers.active_set.feasible import scale_to_load
-from pgfmd.solvers.active_set.primal import LIGHTEST, PressureSteps
+from pgfmd.solvers.active_set.primal import LIGHTEST, Descent, PressureSteps
 from pgfmd.solvers.active_set.thin import ThinSteps, is_thin
 from pgfmd.solvers.active_set.unknowns import Fields
 from pgfmd.solvers.controls import stress_of_full_contact
