@@ -11,7 +11,7 @@ from pgfmd.parallel import alone, layout
 from pgfmd.parallel.layout import Exchange, Layout, RowPlan, RowWindow, hops
 from pgfmd.physics.laws.hard import Hardness, HardWall
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.active_set import block_stiffness, continuation, preconditioner
+from pgfmd.solvers.active_set import continuation, preconditioner
 from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
 from pgfmd.solvers.active_set.dual import GapSteps, near_compliance
 from pgfmd.solvers.active_set.feasible import Feasible
@@ -268,7 +268,6 @@ def test_near_compliance_is_positive(lengths):
 @pytest.mark.parametrize("small", [grid_cost.SMALL, 0])
 def test_preconditioner_is_symmetric_and_positive(monkeypatch, shape, fewest, small):
     """⟨a, M b⟩ = ⟨M a, b⟩ and ⟨a, M a⟩ > 0; and the same on any number of ranks, for any number of levels."""
-    monkeypatch.setattr(block_stiffness, "FEWEST", fewest)
     monkeypatch.setattr(preconditioner, "FEWEST", fewest)
     monkeypatch.setattr(grid_cost, "SMALL", small)
     grid, one = SlabGrid(comm, shape), SlabGrid(MPI.COMM_SELF, shape)
@@ -367,9 +366,9 @@ def test_preconditioner_answers_long_waves_weakly(monkeypatch):
         MultilevelStiffness(grid, lambda q: q / 2, lambda q: q / 2).apply(values, out)
         return comm.allreduce(float(values.own @ out))
 
-    monkeypatch.setattr(block_stiffness, "FEWEST", 8)
+    monkeypatch.setattr(preconditioner, "FEWEST", 8)
     assert 4 < answer(8) / answer(1) < 16
-    monkeypatch.setattr(block_stiffness, "FEWEST", 64)
+    monkeypatch.setattr(preconditioner, "FEWEST", 64)
     assert answer(8) / answer(1) < 2
 
 

@@ -194,7 +194,7 @@ def rest_in_blocks(
     fields: tuple[np.ndarray, np.ndarray, np.ndarray], means: np.ndarray, start: int, size: int, out: np.ndarray
 ) -> None:
     """out[i, j] = weights[i, j] (sums[i, j] shares[i, j] − means[(start + i) // size, j // size]), for fields (sums,
-    shares, weights): means less the means over blocks of size × size, weighted (`solvers.active_set.block_stiffness`).
+    shares, weights): means less the means over blocks of size × size, weighted (`solvers.active_set.preconditioner`).
     """
     sums, shares, weights = fields
     line, current = np.empty(out.shape[1], out.dtype), -1

@@ -21,8 +21,8 @@ from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.problem import Aim, ContactProblem, Measured
 from pgfmd.solvers.active_set.active_set import Precision, Relaxation, State
 from pgfmd.solvers.active_set.conjugate_gradients import FREE, NEUTRAL, ConjugateGradients
+from pgfmd.solvers.active_set.feasible import Settling
 from pgfmd.solvers.active_set.particle_mesh import inner_response
-from pgfmd.solvers.active_set.settling import Settling
 from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, Symbol, lattice_kernel, power_of
 from pgfmd.solvers.active_set.unknowns import Unknowns, add_points
 
