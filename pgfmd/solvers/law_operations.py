@@ -14,8 +14,8 @@ import numpy as np
 
 from pgfmd.grid.transforms import source
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.patience import uncertifiable
 from pgfmd.solvers.second_order import Rounding, certified, energy_of_residual, last_digits
+from pgfmd.solvers.solution import uncertifiable
 
 PIXELS = 4  # diameter of the region whose compliance is the α of `second_order`: of 2, 4 and 8, 4 gives least bounds
 ROUNDED = 1e-15  # relative excess over the highest pressure that counts as rounding, and is cut off

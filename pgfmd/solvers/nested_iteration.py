@@ -14,8 +14,7 @@ from pgfmd.grid.transfer import SubGrid, restrict_locally
 from pgfmd.parallel.collectives import shared
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.nondimensional import Dimensionless
-from pgfmd.solvers.patience import SOLVER_SHARE
-from pgfmd.solvers.solution import ContactSolution, Monitor, SolverState
+from pgfmd.solvers.solution import SOLVER_SHARE, ContactSolution, Monitor, SolverState
 
 COARSEST, NARROWEST = 32, 8  # root of the number of points, and points of the shorter side, not to be coarsened
 FLAT = 1e-2  # rms height on a coarse grid over that on the fine one, below which its solution is no good start

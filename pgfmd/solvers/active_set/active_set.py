@@ -25,6 +25,7 @@ from functools import cached_property
 
 import numpy as np
 
+from pgfmd.errors import Uncertifiable
 from pgfmd.grid.aligned import widened
 from pgfmd.grid.kernels import jit, u
 from pgfmd.grid.transforms import in_chunks, source
@@ -40,8 +41,8 @@ from pgfmd.solvers.active_set.continuation import (
 )
 from pgfmd.solvers.active_set.particle_mesh import FullResponse, MeshResponse
 from pgfmd.solvers.active_set.unknowns import PIECE, Fields
-from pgfmd.solvers.patience import SOLVER_SHARE, STEPS, Patience, too_fine_for_single, uncertifiable
 from pgfmd.solvers.second_order import LEAST_ERROR, Rounding, certified, energy_of_residual
+from pgfmd.solvers.solution import SOLVER_SHARE, STEPS, Patience, uncertifiable
 
 Precision = type[np.float32] | type[np.float64]
 
@@ -164,7 +165,10 @@ class Relaxation:
             # Before rounding would show in the next estimate, precision changes.
             shows = rounding > unseen * max(tolerance, self.left(wanted, enough) * estimate)
             if shows and not can_widen:
-                raise too_fine_for_single(rounding / unseen / SOLVER_SHARE)
+                raise Uncertifiable(
+                    f"the error cannot be certified below about {rounding / unseen / SOLVER_SHARE:.1e}, by rounding in "
+                    'single precision; allow a larger tolerance, or take solver.storage = "float64"'
+                )
             if shows or can_widen and patience.lost >= STUCK:
                 precision = np.float64
             self.improve(state, system, wanted, enough)

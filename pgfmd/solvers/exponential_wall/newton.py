@@ -31,7 +31,7 @@ from pgfmd.physics.laws.exponential_law import ExponentialWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.exponential_wall import loops
 from pgfmd.solvers.law_operations import LawOperations, LawState, local_compliance
-from pgfmd.solvers.patience import Patience, uncertifiable
+from pgfmd.solvers.solution import Patience, uncertifiable
 
 REACH = 8  # diameter in pixels of the region whose compliance is α: if smaller, points that join a patch overshoot
 BACK = 0.25  # a step that raises both merits is shortened to this part

@@ -23,7 +23,7 @@ import numpy as np
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.exponential_wall.newton import Newton
 from pgfmd.solvers.law_operations import LawState
-from pgfmd.solvers.patience import Patience
+from pgfmd.solvers.solution import Patience
 
 CUT = 1e-8  # factor on the linear residual in a step: with 1e-2 in single precision, a third of the tests never ended
 SETTLED = 1e-2  # promised gain per point over ζ at which the next shorter ζ takes over
