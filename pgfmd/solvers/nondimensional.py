@@ -175,7 +175,7 @@ class Dimensionless:
             own = heights[rows].astype(np.float64, copy=False)
             below = np.maximum(made.high - own - made.depth, 0.0)
             gap[rows] += below
-            return math.fsum(below.ravel()), float(np.vdot(pressure[rows], below))
+            return float(below.sum()), float(np.vdot(pressure[rows], below))
 
         parts = grid.threads.collect(lower, len(gap), grid.band)
         lowered, work = (grid.reduction.sum(part) / grid.size for part in zip(*parts, strict=True))
