@@ -343,7 +343,6 @@ class Branch:
             mean_gap=(float(total) + hold.beyond) * contact.length,
             elastic_energy=max(state.elastic, 0.0) * scale,  # of a flat solid it is rounding
             certificate=certificate,
-            max_violation=0.0,
             iterations=state.iterations,
             transforms=contact.grid.transforms - begun[1],
             seconds=time.perf_counter() - begun[0],

@@ -47,19 +47,18 @@ class Dimensionless:
         """overwrite_heights: their memory is used, and they are lost.  Raises InputError for what cannot be solved,
         Uncertifiable where no pressure in double precision is accurate enough."""
         physical.check()
-        load, single = physical.mean_pressure, physical.grid.storage is np.float32
-        if single and load and not 1 / WIDEST < load < WIDEST:
-            raise InputError(f'mean pressure = {load:g}: too far from 1 for solver.storage = "float32"; take "float64"')
+        mean, single = physical.mean_pressure, physical.grid.storage is np.float32
+        if single and mean and not 1 / WIDEST < mean < WIDEST:
+            raise InputError(f'mean pressure = {mean:g}: too far from 1 for solver.storage = "float32"; take "float64"')
         assert physical.law.convex and physical.law.lowest == 0
         self.physical, self._began = physical, time.perf_counter()
         grid, solid, law = physical.grid, physical.solid, physical.law
         self._transforms = grid.transforms
         self._heights = made = dimensionless_heights(physical, overwrite_heights)
         self.uniform: ContactSolution | None = None
-        if physical.mean_pressure == 0 or made.rms == 0:
+        if mean == 0 or made.rms == 0:
             self.uniform = self._uniform(made.field)
             return
-        mean = physical.mean_pressure
         if (distance := law.range_at(mean)) >= UNIFORM * made.rms:
             raise Uncertifiable(
                 f"the wall's range, −p/(dp/dgap) at the mean pressure or zeta = {distance:g}: the rms height is only "
@@ -97,9 +96,6 @@ class Dimensionless:
             mean_gap=mean_gap,
             elastic_energy=0.0,
             certificate=Certificate(0.0),
-            max_violation=0.0,
-            iterations=0,
-            transforms=0.0,
             seconds=time.perf_counter() - self._began,
             approach=summit - mean_gap,
             pressure_error=0.0,
@@ -251,13 +247,11 @@ def deepest(problem: ContactProblem, height: float) -> float:
     """
     if problem.law.highest < math.inf:
         return math.inf
-    grid, solid, mean_pressure = problem.grid, problem.solid, problem.mean_pressure
-    beyond = problem.law.reach
+    grid, solid, beyond = problem.grid, problem.solid, problem.law.reach
     stiffest = math.hypot(*(math.pi / step for step in grid.spacing))
-    if 2 * mean_pressure * grid.size * float(solid.compliance(np.array(stiffest))) + beyond >= height:
+    if 2 * problem.mean_pressure * grid.size * float(solid.compliance(np.array(stiffest))) + beyond >= height:
         return math.inf  # the mean of the compliance is larger still
-    mean = mean_compliance(grid, solid)
-    depth = BEYOND * 2 * mean_pressure * grid.size * mean + beyond
+    depth = BEYOND * 2 * problem.mean_pressure * grid.size * mean_compliance(grid, solid) + beyond
     return depth if depth < height else math.inf
 
 
@@ -328,8 +322,15 @@ def dimensionless_heights(problem: ContactProblem, overwrite: bool = False) -> H
 
     def rescale(size: float) -> tuple[float, float]:
         """Sets `out` to max((heights − high)/size, −1); returns its mean and standard deviation."""
-        parts = threads.collect(lambda a, b: _rescale_rows(heights[a:b], high, size, out[a:b]), rows, grid.band)
-        return _spread(grid, parts)
+
+        def part(first: int, stop: int) -> tuple[float, float]:
+            own = out[first:stop]
+            np.subtract(heights[first:stop], high, out=own)
+            own /= size
+            np.maximum(own, -1.0, out=own)
+            return _sums(own)
+
+        return _spread(grid, threads.collect(part, rows, grid.band))
 
     size = high - low
     mean, spread = rescale(size)
@@ -337,7 +338,6 @@ def dimensionless_heights(problem: ContactProblem, overwrite: bool = False) -> H
     if depth < math.inf:
         size = depth
         mean, spread = rescale(size)
-
     inverse = 1 / spread
 
     def centre(_: int, first: int, stop: int) -> None:
@@ -347,14 +347,6 @@ def dimensionless_heights(problem: ContactProblem, overwrite: bool = False) -> H
 
     threads.share(centre, rows, grid.band)
     return Heights(out, -mean * inverse, size * spread, rms, high, depth)
-
-
-def _rescale_rows(heights: np.ndarray, high: float, size: float, out: np.ndarray) -> tuple[float, float]:
-    """out = max((h − high)/size, −1); returns its sum and that of its squares."""
-    np.subtract(heights, high, out=out)
-    np.divide(out, size, out=out)
-    np.maximum(out, -1.0, out=out)
-    return _sums(out)
 
 
 def _sums(field: np.ndarray) -> tuple[float, float]:

@@ -84,10 +84,10 @@ class ContactSolution:
     mean_gap: float
     elastic_energy: float
     certificate: Certificate | str
-    max_violation: float
-    iterations: int
-    transforms: float
-    seconds: float
+    max_violation: float = 0.0
+    iterations: int = 0
+    transforms: float = 0.0
+    seconds: float = 0.0
     threshold: float = 0.0
     approach: float = math.nan
     pressure_error: float = math.nan
