@@ -42,10 +42,8 @@ LEAST_CUT = 0.01  # in one round of conjugate gradients: to 1e-6 5.1 pairs at f_
 LAST = 0.6  # in the last round, over the factor that would just do: to 1e-6 4.3 pairs, 5.9 at worst, not 4.5, 6.2
 MOST_ROUNDS = 12
 MOST_ITERATIONS = 3000  # under an exponential wall
-# ⟨r, Mr⟩/⟨x, Gx⟩ of a residual r and the preconditioner M is .48 … .83 of the width of the bounds, .6 in the median (60
-# rounds at 512² and 1024², f_c .04 … .9).  Where that is above TOO_WIDE times the width asked for, bounds are not
-# computed: that saves half a pair.
-PART, TOO_WIDE = 0.6, 1.3
+PART = 0.6  # ⟨r, Mr⟩/⟨x, Gx⟩ of a residual r and the preconditioner M over the width of the bounds, about
+TOO_WIDE = 1.3  # estimated width over that asked for above which bounds are not computed, which saves half a pair
 CROWDED = 0.7  # share of points in contact from which the uniform x is a better start than the mesh's
 DOUBLE_TO = 10.0  # a response is in double precision where the expected width is at most this times that asked for
 SINGLE_FROM = 1e-4  # width of the bounds from which transforms in single precision suffice

@@ -34,26 +34,20 @@ SolveAt = Callable[[ContactProblem, np.ndarray | None, float], ContactSolution]
 Percolates = Callable[[SlabGrid, np.ndarray], bool]
 """(grid, mask (nx_local, ny)) → whether a path in it winds around the cell.  Collective."""
 
-# Loads this close start from each other; over larger steps coarse grids are cheaper.  A hard wall on a solid that is
-# not thin takes 2.3 to 3.5 transforms after .2 %, 3.0 to 4.9 after 1 % and 2.9 from coarse grids (512² … 2048²,
-# λ_s = 16a, contact areas .05 to .5); other walls, and thin free slabs, gain up to 5 %.
+# Loads this close start from each other under hard and other walls; over larger steps coarse grids are cheaper.
 NEIGHBOURS, SOFT_NEIGHBOURS = math.log(1.002), math.log(1.05)
 LOOSE = 1e-5  # certified error of intermediate solutions
 SURE = 0.3  # part of the target's tolerance that may be due to the solution's certified error
 FARTHER = 4.0  # far from a target: its error over the part that the solution's certified error may make
 ROUNDING = 1e-15  # width of a bracket in ln p̄ below which it is rounding
 JUMP = 1e-4  # width of a bracket in ln p̄ below which an area that differs between its ends counts as jumping
-# Certified error of its ends: at 1e-8, points at the edge join or leave up to 4 % from the jump.  In single precision
-# rounding hides less than 3e-11 on small grids; on large ones such areas are refused.
-SHARP = {np.float64: 1e-12, np.float32: 1e-10}
+SHARP = {np.float64: 1e-12, np.float32: 1e-10}  # certified error of its ends
 ABOUT, LEAST_SIDE = 1e-2, 64  # tolerance of a gap on the coarser grid that gives a first guess, and its least side
 STEP = 3.0  # largest first change of ln p̄
 MOST_SOLVES = 80
 FIRST_STEP = 0.1  # of ln p̄ in the search of closure; doubled until both sides of it are known
 LOWEST = 40.0  # below the first guess of ln p̄, where the gap must percolate
-# Certified error over the square of the accuracy of the load of closure.  That load, in 4 rough surfaces, is wrong by
-# up to 1e-2 at errors of 1e-6, 1e-4 at 1e-8, 1e-5 at 1e-10.
-SHARPNESS = 1e-2
+SHARPNESS = 1e-2  # certified error over the square of the accuracy of the load of closure
 log = logging.getLogger("pgfmd")
 
 

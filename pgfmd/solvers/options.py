@@ -1,14 +1,6 @@
 """What is imposed on a contact, and how it is found: the tables [load] and [solver] of a job; what each method costs.
 
-No MPI here.
-
-Memory: bytes per grid point at the peak, measured (peak of the resident memory less that of a 64² run; 1024² … 8192²
-points, one and two ranks).  Work: processor time of a solve to the default tolerance, in transforms (1.4e-8 s per
-point).  Of a hard wall it was measured on self-affine surfaces at 2048² … 16384² and areas of .05, .2, .5 and .7: with
-λ_s = 16a single times are within 25 % of the formula, those of H = .3 above and of H = .8 below it; rougher surfaces
-take up to twice as long.  Other methods: geometric means at 512², single times within a factor of 2, with an
-exponential wall (ζ of .03 and .3 of the rms height) within 4.  The `effort` of laws was measured likewise, with ζ of
-.1; the formula was that of an exponential wall.
+No MPI here.  How costs were measured: NUMERICS.md.
 """
 
 from __future__ import annotations

@@ -27,9 +27,7 @@ from pgfmd.physics.solids.solid import Solid
 DIGITS = 4.0  # relative error of pressures, from transforms and from their last digits, in units of the last digit
 LEAST_ERROR = 1e-24  # certified error below which the level's error is that of rounding, a few 1e-12, not √error
 SINGLE = 1e-3  # relative error of ‖ε‖_K, from a transform in single precision
-# Error of a convolution over that of its input, per √log₂ 2N, without and with primes above 13 in N: measured at most
-# .7 and 1.3.
-ROUNDING = 1.0, 1.8
+ROUNDING = 1.0, 1.8  # error of a convolution over its input's, per √log₂ 2N, without and with primes above 13 in N
 SYMBOL = 4.0  # relative error of compliance and stiffness, in units of the last digit: measured at most 2
 COLUMNS = 16  # of the spectrum at a time, so that NumPy's temporary arrays stay in cache
 
