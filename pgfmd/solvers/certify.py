@@ -71,8 +71,14 @@ def certify(
         raise InputError("pressure: it is the same everywhere; there is no elastic energy of which to state the error")
     factor = _fitting_factor(problem, state, scaled)
     outside = _cut_traces(scaled.problem, state) if isinstance(state, State) else 0.0
-    found = scaled.solution(state, energy, math.inf)
-    return found, Projection(given_mean, change_of_all, outside, _doubt(found.certified_error, factor))
+    found, doubt = scaled.solution(state, energy, math.inf), ""
+    if not (found.certified_error <= WRONG or 1 / FACTOR <= factor <= FACTOR):
+        doubt = (
+            f"the certified error is {found.certified_error:.2g}, of order 1, and the pressure fits heights that are "
+            f"{factor:.3g} times these: are heights, pressures and contact modulus in the same units, peaks positive, "
+            "axes alike?"
+        )
+    return found, Projection(given_mean, change_of_all, outside, doubt)
 
 
 def _under_law(problem: ContactProblem, pressure: np.ndarray) -> tuple[LawState, float]:
@@ -107,16 +113,6 @@ def _fitting_factor(problem: ContactProblem, state: State | LawState, scaled: Di
         np.sum(weight * high * (state.gap + scaled.problem.heights)), np.sum(weight * high * high)
     )
     return float(product / square) * scaled.units.height if square > 0 else 1.0
-
-
-def _doubt(error: float, factor: float) -> str:
-    """A line if the error is of order 1 and the pressure fits heights of another scale."""
-    if error <= WRONG or 1 / FACTOR <= factor <= FACTOR:
-        return ""
-    return (
-        f"the certified error is {error:.2g}, of order 1, and the pressure fits heights that are {factor:.3g} times "
-        "these: are heights, pressures and contact modulus in the same units, peaks positive, axes alike?"
-    )
 
 
 def _cut_traces(problem: ContactProblem, state: State) -> float:

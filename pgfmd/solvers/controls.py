@@ -88,11 +88,6 @@ class Control:
         parts = self.grid.threads.collect(part, len(heights), self.grid.band)
         return self.grid.reduction.sum(parts) / self.grid.size
 
-    @cached_property
-    def usual_pressure(self) -> float:
-        """That of full contact with waves as long as the cell, which have the rms height.  Collective."""
-        return self.rms_height * float(self.problem.solid.stiffness(np.array(2 * math.pi / max(self.grid.lengths))))
-
     def imposed(self, target: float) -> Imposed | None:
         """What a solver meets by itself under a hard wall; None where it cannot.  Collective."""
         return None

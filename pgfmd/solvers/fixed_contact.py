@@ -111,7 +111,9 @@ class FixedContact(Relaxation):
             if near:
                 if not energy > 0:
                     raise SolverError("stiffness: the response is lost in rounding; allow a larger width")
-                lower, upper = self._bounds(value)
+                # The computed response has an error e: |⟨x, e⟩| ≤ ‖x‖_G ‖e‖_K.
+                slack = value * math.sqrt(self.rounding_bound(self.state, self.real) / energy)
+                lower, upper = value * (1 - 2 * self.bound(self.state, self.real)) - slack, value + slack
                 stuck = upper - lower > (best[1] - best[0]) / 2
                 best = max(best[0], lower), min(best[1], upper)
                 width = (best[1] - best[0]) / best[1]
@@ -150,13 +152,6 @@ class FixedContact(Relaxation):
         state.gap[place == 1] = response - value
         state.energy, self.squares = float(work) / 2, np.array(squares)
         return value
-
-    def _bounds(self, value: float) -> tuple[float, float]:
-        """Bounds of 1/K from S and the residual of its x.  Collective."""
-        state = self.state
-        # The computed response has an error e: |⟨x, e⟩| ≤ ‖x‖_G ‖e‖_K.
-        slack = value * math.sqrt(self.rounding_bound(state, self.real) / state.energy)
-        return value * (1 - 2 * self.bound(state, self.real)) - slack, value + slack
 
 
 def wall_increment(problem: ContactProblem, pressure: np.ndarray, width: float) -> Increment:

@@ -39,11 +39,7 @@ def solve_gfmd(
     overwrite_heights: bool = False,
     max_steps: int = 10000,
 ) -> ContactSolution:
-    """Contact under any convex law by dynamics, to a certified relative energy error.  Collective.
-
-    start: a pressure (nx_local, ny) to begin with.  overwrite_heights: their memory is used, and they are lost.  Raises
-    InputError for what is out of range, SolverError if `max_steps` do not reach the tolerance.
-    """
+    """Contact under any convex law by dynamics, in at most `max_steps`: see `NestedIteration.contact`.  Collective."""
     scaled = Dimensionless(problem, overwrite_heights)
     if scaled.uniform is not None:
         return scaled.uniform

@@ -134,7 +134,9 @@ class LoadControl:
         """The contact at a target that the solver meets by itself; None if it does not.  Collective."""
         if (imposed := self.control.imposed(target)) is None:
             return None
-        start, guess = self._resumed, self.control.usual_pressure
+        start, longest = self._resumed, np.array(2 * math.pi / max(self.grid.lengths))
+        # That of full contact with waves as long as the cell, which have the rms height.
+        guess = self.control.rms_height * float(self.problem.solid.stiffness(longest))
         if start is not None and 0 < (total := self.grid.reduction.sum(start)) < math.inf:
             guess = total / self.grid.size
         try:

@@ -184,11 +184,6 @@ class Relaxation:
             state.gap += state.base
         state.level, state.base = state.level + state.base, 0.0
 
-    def store(self, state: State) -> None:
-        """Brings a solved state to the precision in which it is kept.  Collective."""
-        if self.grid.storage is np.float64:
-            self.widen(state)
-
     def left(self, wanted: float, enough: float) -> float:
         """The part of the estimate that a step with these arguments of `improve` probably leaves."""
         return wanted**2

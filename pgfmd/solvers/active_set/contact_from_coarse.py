@@ -182,7 +182,8 @@ class ActiveSetIteration(NestedIteration[State]):
             solver = self._relaxed(problem, state, steps, exact)
         if exact:
             problem.grid.make_room()
-            solver.store(state)
+            if problem.grid.storage is np.float64:
+                solver.widen(state)
         return state
 
     def _relaxed(self, problem: ContactProblem, state: State, steps: type[Relaxation], exact: bool) -> Relaxation:

@@ -21,6 +21,8 @@ DENSE = 400  # points of one rank up to which the whole matrix is factorised: in
 WINDOW = 3  # cells each way, on three levels, among which the nearest points are sought
 LARGEST = 2**22  # points of a grid: each rank holds its kernel and the whole factor, as slabs alone miss long waves
 
+Ordering = tuple[np.ndarray, ...]  # order, rank, levels, cells and starts: see `ordered`
+
 
 class SparseStiffness:
     """z = U Uᵀ r on the points of a mask (nx_local, ny), by all ranks alike.  Collective to make."""
@@ -69,7 +71,7 @@ class SparseStiffness:
         out.ravel()[self.at] = values[self.own]
 
 
-def ordered(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def ordered(mask: np.ndarray) -> Ordering:
     """Points of a mask coarse to fine.  order: flat indices; rank (mask.size): their place in it; levels: log₂ of the
     cell that a point represents, in the same order; cells: for each level the point (flat index, or −1) of each cell,
     rows by rows; starts: where each level begins there.
@@ -96,12 +98,7 @@ def ordered(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.nd
 
 
 @jit
-def condition(
-    ordering: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray],
-    kernel: np.ndarray,
-    columns: np.ndarray,
-    values: np.ndarray,
-) -> None:
+def condition(ordering: Ordering, kernel: np.ndarray, columns: np.ndarray, values: np.ndarray) -> None:
     """The columns of U: flat indices and values for the points in order; unused entries are the point itself with 0."""
     order, rank, levels, cells, starts = ordering
     (nx, ny), most = kernel.shape, columns.shape[1] - 1

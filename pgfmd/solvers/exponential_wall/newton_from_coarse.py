@@ -55,7 +55,9 @@ class NewtonIteration(NestedIteration[LawState]):
         falling, the same by steps that lower the dual objective each time.  Collective.
         """
         tolerance, watch = self.goal(exact), self.watch(problem)
-        *softer, last = softer_walls(problem)
+        length = max(problem.law.range_at(1.0), SHORTEST)
+        powers = range(max(0, math.ceil(math.log(1 / length, REDUCTION))), 0, -1)
+        softer = [problem.with_law(problem.law.softer(float(REDUCTION**power))) for power in powers]
         for soft in softer:
             try:
                 newton(soft).relax(state, LOOSE)
@@ -63,13 +65,13 @@ class NewtonIteration(NestedIteration[LawState]):
                 if not shared(problem.grid.comm, failure):
                     raise
         try:
-            return newton(last).relax(state, tolerance, watch)
+            return newton(problem).relax(state, tolerance, watch)
         except SolverError as failure:
             if isinstance(failure, Uncertifiable) or not shared(problem.grid.comm, failure):
                 raise
-            if not isinstance(last.law, ExponentialWall):  # `descend` needs its dual objective
+            if not isinstance(problem.law, ExponentialWall):  # `descend` needs its dual objective
                 raise
-            return descend(softer, last, state, tolerance, watch)
+            return descend(softer, problem, state, tolerance, watch)
 
     def goal(self, exact: bool) -> float:
         """The certified error at which a grid is solved."""
@@ -95,14 +97,6 @@ class NewtonIteration(NestedIteration[LawState]):
 def newton(problem: ContactProblem) -> Newton:
     """The steps for the law of the problem.  Collective."""
     return (Newton if isinstance(problem.law, ExponentialWall) else LawNewton)(problem)
-
-
-def softer_walls(problem: ContactProblem) -> list[ContactProblem]:
-    """The problem under walls that reach farther, from about the rms height down to its own, the last."""
-    law = problem.law
-    length = max(law.range_at(1.0), SHORTEST)
-    powers = range(max(0, math.ceil(math.log(1 / length, REDUCTION))), -1, -1)
-    return [problem.with_law(law.softer(float(REDUCTION**power)) if power else law) for power in powers]
 
 
 solve_exponential_wall = NewtonIteration.contact
