@@ -54,10 +54,8 @@ def _bare(point: Point) -> Point:
 
 
 class Branch:
-    """Finds adhesive contacts of one surface at targets, in order.  Collective to make.  Raises InputError where the
-    grid does not resolve the attraction.
-
-    monitor: called after each step of the solver.
+    """Finds adhesive contacts of one surface at targets, in order; `monitor` is called after each step.  Raises
+    InputError where the grid does not resolve the attraction.  Collective to make.
     """
 
     monitor: Monitor | None = None
@@ -248,9 +246,8 @@ class Branch:
         return mean - least <= min(KNOWN, self.load.jump_accuracy) * mean
 
     def _lost(self, low: Point, high: Point) -> tuple[float, float]:
-        """Energy per point lost from one state to the next, over w: the work done less the energy gained.
-
-        With the force (at a load: gap) of one end on the whole way, the least; and with the mean of both.
+        """Energy per point lost from one state to the next, over w: the work done less the energy gained; with the
+        force (at a load: gap) of one end on the whole way, the least, and with the mean of both.
         """
         (_, old), (_, new), at, to = low, high, self.hold(low[0]), self.hold(high[0])
         load = 0.0 if at.fixed else to.load - at.load

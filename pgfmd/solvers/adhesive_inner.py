@@ -35,11 +35,10 @@ def conjugate_gradients(
     model: AdhesiveModel, start: np.ndarray, weight: np.ndarray, actions: Actions, enough: Enough,
     most: int = MOST_INNER,
 ) -> tuple[np.ndarray, bool, float, Steps]:  # fmt: skip
-    """(K − weight)x = start on the free points, until enough(first ⟨r, Gr⟩ per point, the share left of it, steps).
-
-    With firm points all points are unknowns.  start becomes what is left of it.
-    Returns x, whether `model.search` is now a direction of negative curvature, the first ⟨r, Gr⟩
-    per point, and (step, ratio) of each iteration, which give the spectrum.  Collective.
+    """(K − weight)x = start on the free points, until enough(first ⟨r, Gr⟩ per point, the share left of it, steps);
+    with firm points all are unknowns.  start becomes what is left of it.  Returns x, whether `model.search` is now a
+    direction of negative curvature, the first ⟨r, Gr⟩ per point, and (step, ratio) of each iteration, which give the
+    spectrum.  Collective.
     """
     grid, z, d, (soften, stiffen, fixed, firm) = model.grid, model.image, model.search, actions
     free = np.ones_like(model.free) if firm else model.free

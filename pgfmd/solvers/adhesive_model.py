@@ -27,7 +27,6 @@ NOTHING = 1e-10  # energy per point, over w, that is none
 @dataclass(frozen=True)
 class Hold:
     """What is held: the mean gap (spring inf), or the force of a spring on it, load + spring · (mean gap − gap).
-
     beyond: how much larger the gap is in truth, where the surfaces are apart in any case: digits would be lost
     """
 
@@ -64,11 +63,9 @@ class Actions(NamedTuple):
 
 @dataclass
 class AdhesiveState:
-    """A contact in units of the law.
-
-    gap, stress: g and K(g + h) (nx_local, ny); mean: mean gap; elastic: ⟨u, Ku⟩/2 and law: ΣW, per point; square:
-    ⟨r, Gr⟩ per point; curvature: an estimate of the least θ with K + W'' ≥ θK, from inner iterations;
-    error: energy error over 2 E_el
+    """A contact in units of the law.  gap, stress: g and K(g + h) (nx_local, ny); mean: mean gap; elastic: ⟨u, Ku⟩/2
+    and law: ΣW, per point; square: ⟨r, Gr⟩ per point; curvature: an estimate of the least θ with K + W'' ≥ θK, from
+    inner iterations; error: energy error over 2 E_el
     """
 
     gap: np.ndarray

@@ -38,9 +38,8 @@ def stress_of_full_contact(problem: ContactProblem, height: float = 1.0) -> floa
 
 
 class Control:
-    """A quantity that is imposed on one surface, and its value for a solution.
-
-    jumps: whether the quantity is discontinuous in the load.  tolerance_key: the key of its tolerance.
+    """A quantity that is imposed on one surface, and its value for a solution.  jumps: whether it is discontinuous in
+    the load.  tolerance_key: the key of its tolerance.
     """
 
     jumps = False

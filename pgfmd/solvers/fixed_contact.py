@@ -204,10 +204,8 @@ def wall_increment(problem: ContactProblem, pressure: np.ndarray, width: float) 
 
 
 def increment(problem: ContactProblem, pressure: np.ndarray, width: float) -> Increment:
-    """The response of a solved contact of that pressure (nx_local, ny) to a small further load.  Collective.
-
-    width: that the bounds of K may have, relative.  Raises InputError for a law other than a hard wall, one of limited
-    hardness, or an exponential one.
+    """The response of a solved contact of that pressure (nx_local, ny) to a small further load, to a relative `width`
+    of the bounds of K.  Raises InputError for laws other than hard, hardness and exponential.  Collective.
     """
     if isinstance(problem.law, ExponentialWall):
         return wall_increment(problem, pressure, width)

@@ -64,9 +64,8 @@ class Dynamics:
         self.displacement, self.force = np.zeros(self.grid.local_shape), np.ones(self.grid.local_shape)
 
     def run(self, tolerance: float, max_steps: int, monitor: Monitor | None = None) -> LawState:
-        """Steps until the certified error is at most `tolerance`.  Collective.
-
-        Raises SolverError after `max_steps`, Uncertifiable as soon as only rounding keeps the error above.
+        """Steps until the certified error is at most `tolerance`.  Raises SolverError after `max_steps`, Uncertifiable
+        as soon as only rounding keeps the error above.  Collective.
         """
         state = LawState(self.grid.new_field(), self.grid.new_field())
         level, best = 0.0, math.inf

@@ -44,9 +44,8 @@ def local_compliance(problem: ContactProblem, pixels: float) -> float:
 
 
 class LawOperations:
-    """Computes gaps, certificates and resolvents for a dimensionless `problem` of mean pressure 1.  Collective to make.
-
-    squares: Σ p̂² and Σ u² of the last gap
+    """Computes gaps, certificates and resolvents for a dimensionless `problem` of mean pressure 1; squares: Σ p̂² and
+    Σ u² of the last gap.  Collective to make.
     """
 
     def __init__(self, problem: ContactProblem) -> None:

@@ -52,8 +52,7 @@ log = logging.getLogger("pgfmd")
 
 
 class LoadControl:
-    """Finds the contact of one surface at targets of the quantity that `load` imposes, in any order.  Collective to
-    make.
+    """Finds contacts of one surface at targets of what `load` imposes, in any order.  Collective to make.
 
     solver: solves at a given mean pressure; `solve_contact` if not given.  percolates: tells whether a mask percolates;
     needed where percolation is asked for.
@@ -85,8 +84,7 @@ class LoadControl:
         self._resumed = pressure
 
     def solution(self, target: float) -> ContactSolution:
-        """The contact at that target; its iterations, transforms and seconds are those of the whole search.
-        Collective.
+        """The contact at that target, with iterations, transforms and seconds of the whole search.  Collective.
 
         Raises InputError for a target that is wrong input, Unreachable for one that no load gives, SolverError if it is
         not met to its tolerance.
@@ -279,7 +277,6 @@ def load_control(load: Load, problem: ContactProblem, tolerance: float = 1e-8) -
 
 class _Search:
     """Finds the zero of an increasing function of ln p̄: the caller adds the function's value at `at`, again and again.
-
     at: ln p̄ where the value is wanted next, below `limit`.  slope: last estimate of the derivative.
     """
 

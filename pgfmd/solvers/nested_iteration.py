@@ -66,9 +66,8 @@ class NestedIteration(Generic[StateType]):
         return scaled.solution(state, nested.energy(state, problem.grid.size), tolerance, transforms)
 
     def solve(self, problem: ContactProblem, exact: bool = True) -> tuple[StateType, float]:
-        """The solution, and the transforms spent on coarser grids, weighted by size.  Collective.
-
-        exact: the error is certified to the tolerance; otherwise the grid only starts a finer one.
+        """The solution, and the transforms spent on coarser grids, weighted by size.  exact: the error is certified to
+        the tolerance; otherwise the grid only starts a finer one.  Collective.
         """
         coarse = self.coarser(problem)
         if coarse is None:

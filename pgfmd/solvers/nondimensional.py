@@ -104,8 +104,7 @@ class Dimensionless:
     def solution(
         self, state: SolverState, energy: float, tolerance: float, coarse_transforms: float = 0.0
     ) -> ContactSolution:
-        """The physical solution of a dimensionless state, whose fields are changed in place and become those of the
-        solution.  Collective.
+        """The physical solution of a dimensionless state, whose fields are changed and become its own.  Collective.
 
         energy: ½⟨p̂ û⟩ per point.  Raises Uncertifiable if the rounding of the pressure's last digits, which the
         certificate does not contain, brings the error above the tolerance.

@@ -33,9 +33,8 @@ COLUMNS = 16  # of the spectrum at a time, so that NumPy's temporary arrays stay
 
 
 def energy_of_residual(grid: SlabGrid, fill: RowAction, stiffness: ColumnAction) -> tuple[float, float]:
-    """½Σ ε Kε and Σ (Kε)² of the field ε that `fill` makes, in single precision, by half a transform.  Collective.
-
-    stiffness: acts as K over the number of points.
+    """½Σ ε Kε and Σ (Kε)² of the field ε that `fill` makes, in single precision, by half a transform; stiffness: acts
+    as K over the number of points.  Collective.
     """
     parts: dict[int, tuple[float, ...]] = {}
 

@@ -106,9 +106,8 @@ class ContactSolution:
         return self.certificate.error if isinstance(self.certificate, Certificate) else math.nan
 
     def pressure_in_contact(self) -> np.ndarray:
-        """The pressure (nx_local, ny), 0 at points that do not count as in contact; not a copy if that changes none.
-
-        Points that touch under tension have the least positive number, so that they are seen to touch.
+        """The pressure (nx_local, ny), 0 at points that do not count as in contact, and the least positive number at
+        those that touch under tension; not a copy if that changes none.
         """
         if self.threshold == -math.inf:
             out = np.maximum(self.pressure, np.finfo(float).tiny)

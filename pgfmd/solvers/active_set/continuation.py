@@ -44,10 +44,9 @@ class BlockMeans:
             starts, low, high, side = layout.starts, window.low, window.low + len(window.rows), LARGER
 
     def of(self, fields: Fields, limits: Limits) -> tuple[np.ndarray, int]:
-        """The values of the smallest blocks that have rows of this rank or `BESIDE` rows beside them, (rows, columns)
-        of blocks; and how many rows of the grid the first of them begins before this rank's.  Collective.
-
-        fields: pressure and gap (nx_local, ny).
+        """Values of the smallest blocks that overlap this rank's rows or `BESIDE` rows beside them, (rows, columns) of
+        blocks; and how many rows the first begins before this rank's.  fields: pressure and gap (nx_local, ny).
+        Collective.
         """
         windows, start = self.windows, self.grid.rows.start - (self.windows[0].low << SHIFT)
 

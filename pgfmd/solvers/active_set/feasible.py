@@ -156,11 +156,10 @@ def _root(excess: Callable[[float], tuple[float, float]], bracket: tuple[float, 
 
 @jit
 def change_rows(fields: Fields, change: Change, highest: float, keep: bool, part: Part) -> tuple[int, float, float]:
-    """Changes the pressures of some rows: factor · p where p < highest, or if there is a stiffness
-    p + stiffness · (level − g); cut to 0 and `highest`.  Returns how many are `highest` then, the sum of the others,
-    and its derivative by the level, or by the factor.  Without `keep` the pressures stay as they are.
-
-    Where most points bear `highest`, few others take all that the sum lacks: so those are counted.
+    """Changes pressures of some rows: factor · p where p < highest, or with a stiffness p + stiffness · (level − g),
+    cut to 0 and `highest`; without `keep` they stay as they are.  Returns how many are `highest`, the sum of the
+    others, and its derivative by the level or the factor.  Saturated points are counted, so that their rounding does
+    not load the few free ones.
     """
     pressure, gap = fields
     factor, stiffness, level = change
@@ -202,9 +201,8 @@ class Settling:
 
     def settle(self, pressure: np.ndarray, gap: np.ndarray, load: float) -> tuple[float, float, int]:
         """Makes a pressure (nx_local, ny) of clipped gaps bear the load.  Returns ⟨p, h⟩, Σ p² and the number of points
-        with p > 0.  Collective.
-
-        Raises SolverError if all points without a gap are in tension; the pressure is then uniform.
+        with p > 0.  Raises SolverError, the pressure then uniform, if all points without a gap are in tension.
+        Collective.
         """
         window, rows = self.window, (pressure, gap, self.heights)
         window.sum(lambda first, stop, sums: sum_in_blocks(pressure, gap, (first, stop), sums))

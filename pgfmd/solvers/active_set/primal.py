@@ -68,10 +68,8 @@ class PressureSteps(Relaxation):
             self._solve(state, ConjugateGradients(points.below(0.0, state.gap), *near), NEAR_CUT)
 
     def linearise(self, state: State, precision: Precision) -> ConjugateGradients:
-        """Computes the gap.  The system makes it constant on the unknowns.  Collective.
-
-        After a start only loaded points are unknowns: where the gap is short of λ, it is mostly by long waves, which
-        the first step removes.
+        """Computes the gap.  The system makes it constant on the unknowns, after a start on loaded points only: others
+        are short of λ mostly by long waves, which the first step removes.  Collective.
         """
         if started := state.estimated:
             self._begin(state)
@@ -138,9 +136,8 @@ class PressureSteps(Relaxation):
         return enough if enough > CLOSE else max(math.sqrt(enough) / 10, LEAST_PART)
 
     def improve(self, state: State, system: ConjugateGradients, wanted: float, enough: float) -> None:
-        """Makes the gap constant on the unknowns; with a mesh solves for them anew as they change.  Collective.
-
-        Full transforms follow once `system.square` has probably fallen to the part `left`.
+        """Makes the gap constant on the unknowns, with a mesh on new ones as they change, until `system.square` has
+        probably fallen to the part `left`.  Collective.
         """
         if not isinstance(self.inner, MeshResponse) or self.highest < math.inf or system.square <= 0:
             self._solve(state, system, wanted)

@@ -28,9 +28,8 @@ def power_of(half_space: Symbol) -> tuple[float, int]:
 
 @lru_cache(maxsize=64)
 def lattice_kernel(spacing: tuple[float, float], power: int, screen: float = 0.0) -> np.ndarray:
-    """Real-space values of (|q|² + screen²)^(power/2) on the pixel lattice, (7, 7), zero beyond √10 pixels; to read.
-
-    They are computed on a grid of 64 × 64 with the same spacing: a short-ranged kernel does not depend on the cell.
+    """Real-space values of (|q|² + screen²)^(power/2) on the pixel lattice, (7, 7), zero beyond √10 pixels; to read.  A
+    grid of 64 × 64 serves: a short-ranged kernel does not depend on the cell.
     """
     n = 64
     ax, ay = spacing

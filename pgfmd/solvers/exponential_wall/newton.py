@@ -176,12 +176,11 @@ class Newton(LawOperations):
 
 
 class LawNewton(Newton):
-    """Newton iterations for any wall the pressure of which decreases with the gap, p = P(e), and that knows its
-    `gap_and_slope`.
+    """Newton iterations for any wall whose pressure decreases with the gap, p = P(e), by its `gap_and_slope`.
 
-    With the law's gap e and w = √(−P'(e)), Newton's equation for δp̂ = w y is (1 + w G w) y = −w (g − e − c), Σ w y = 0;
-    the pointwise step is that of `Newton`.  A step is shortened where the objective rises along it, by three values of
-    its slope, ⟨g − e, p̂₁ − p̂₀⟩: that needs no energy of the law in closed form.
+    With the law's gap e and w = √(−P'(e)), the equation for δp̂ = w y is (1 + w G w) y = −w (g − e − c), Σ w y = 0; the
+    pointwise step is that of `Newton`.  A step is shortened where the objective rises along it, by three values of its
+    slope, ⟨g − e, p̂₁ − p̂₀⟩: that needs no energy of the law in closed form.
     """
 
     def __init__(self, problem: ContactProblem):

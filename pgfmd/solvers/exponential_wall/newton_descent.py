@@ -36,9 +36,8 @@ def descend(
     softer: Iterable[ContactProblem], problem: ContactProblem, state: LawState, tolerance: float,
     monitor: Callable[[LawState], None] | None,
 ) -> LawState:  # fmt: skip
-    """Solves `problem`: begins with a flat displacement, passes through the same problem under the `softer` walls in
-    turn, and ends under its own.  Overwrites and returns `state`.  Collective.  Raises SolverError as `Newton.relax`
-    does.
+    """Solves `problem` from a flat displacement, under the `softer` walls in turn and then its own.  Overwrites and
+    returns `state`.  Raises SolverError as `Newton.relax`.  Collective.
     """
     source = LawState(np.ones_like(problem.heights), -problem.heights)
     for soft in softer:
