@@ -148,11 +148,11 @@ def solve(
     thickness, base ("bonded" if None), poisson: a slab instead of a half-space.  solid: a solid, or its keys as in
     [solid], instead of these and contact_modulus.  comm: the ranks that solve together; None: this process alone.
     method: see `solvers.options`.  storage: precision of heights, pressure and gap, "float32" for a hard wall on a
-    periodic cell alone, for large grids: 4 to 5 bytes per point less.  start: a pressure to begin with, split like the
-    fields of the answer.  refine: those are on a grid with so many times the points each way, onto which the heights of
-    a periodic surface are interpolated by their Fourier modes.  tolerance: certified relative energy error (1e-8:
-    pressures to some 1e-3 … 1e-4 of their rms value).  threads: of this process; OMP_NUM_THREADS or the free cores if
-    None.  progress: whether to show a bar; None: in notebooks only.
+    periodic cell alone, for large grids: 4 to 5 bytes per point less.  start: a pressure to begin with, under a wall
+    that attracts a gap, split like the fields of the answer.  refine: those are on a grid with so many times the points
+    each way, onto which the heights of a periodic surface are interpolated by their Fourier modes.  tolerance:
+    certified relative energy error (1e-8: pressures to some 1e-3 … 1e-4 of their rms value).  threads: of this process;
+    OMP_NUM_THREADS or the free cores if None.  progress: whether to show a bar; None: in notebooks only.
 
     Raises InputError for heights that are masked, not finite or wrongly split, values out of range and arguments that
     differ between ranks, SolverError if the tolerance cannot be reached, Unreachable if no load gives the target.

@@ -465,6 +465,14 @@ def test_a_restart_within_a_cycle_gives_the_same_cycle(tmp_path):
     assert np.isin(whole.loads["bound"], (1, 3)).all() and (whole.loads["certified_error"] < 1e-10).all()
 
 
+def test_a_gap_starts_a_contact():
+    """Under a wall that attracts `start` is a gap: from its own a contact needs no step."""
+    whole = pgfmd.solve(rough(), 0.05, wall=LAWS["adhesive"])
+    again = pgfmd.solve(rough(), 0.05, wall=LAWS["adhesive"], start=whole.gap)
+    assert whole.iterations > 0 and again.iterations == 0
+    np.testing.assert_allclose(again.gap, whole.gap, rtol=0, atol=1e-12)
+
+
 def test_a_coarse_process_zone_is_warned_of(caplog):
     """At 1.5 pixels one line says so; at 3 none."""
     heights = 0.1 * np.cos(2 * np.pi * np.arange(32) / 32)[:, None] * np.ones(32)
