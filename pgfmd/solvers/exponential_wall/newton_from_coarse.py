@@ -11,8 +11,7 @@ from pgfmd.grid.transfer import Interpolation
 from pgfmd.parallel.collectives import shared
 from pgfmd.physics.laws.exponential_law import ExponentialWall
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.exponential_wall.newton import LawNewton, Newton
-from pgfmd.solvers.exponential_wall.newton_descent import descend
+from pgfmd.solvers.exponential_wall.newton import LawNewton, Newton, descend
 from pgfmd.solvers.law_operations import LawState
 from pgfmd.solvers.nested_iteration import Coarse, NestedIteration
 
