@@ -80,8 +80,16 @@ def firm(
 
 
 def shake(contact: AdhesiveContact, start: np.ndarray, hold: Hold, actions: Actions, square: float) -> float:
-    """Adds noise n to a start whose ⟨r, Pr⟩ per point is about `square`; returns ⟨n, Pn⟩ per point.  Collective."""
-    grid, added = contact.grid, noise(contact, hold)
+    """Adds noise n on the free points to a start whose ⟨r, Pr⟩ per point is about `square`; returns ⟨n, Pn⟩ per point.
+    The noise is the same on any number of ranks.  Collective.
+    """
+    grid, seed = contact.grid, np.random.default_rng(7)
+    added = grid.new_field(np.float32)
+    seed.bit_generator.advance(grid.rows.start * grid.shape[1])  # type: ignore[attr-defined]
+    for row, free in zip(added, contact.free, strict=True):
+        row[...] = (seed.random(row.shape) - 0.5) * free
+    if hold.fixed:
+        added -= np.float32(grid.reduction.sum(added) / grid.size)
     own, _ = apply(
         grid, actions.soften, source(added), lambda rows, s: masked(rows, added[s], contact.free[s], contact.image[s])
     )
@@ -91,18 +99,6 @@ def shake(contact: AdhesiveContact, start: np.ndarray, hold: Hold, actions: Acti
     added *= np.float32(share)
     start += added
     return share**2 * own / grid.size
-
-
-def noise(contact: AdhesiveContact, hold: Hold) -> np.ndarray:
-    """Random numbers on the free points, the same on any number of ranks.  Collective."""
-    grid, seed = contact.grid, np.random.default_rng(7)
-    out = grid.new_field(np.float32)
-    seed.bit_generator.advance(grid.rows.start * grid.shape[1])  # type: ignore[attr-defined]
-    for row, free in zip(out, contact.free, strict=True):
-        row[...] = (seed.random(row.shape) - 0.5) * free
-    if hold.fixed:
-        out -= np.float32(grid.reduction.sum(out) / grid.size)
-    return out
 
 
 def distance(contact: AdhesiveContact, hold: Hold, floor: float, bound: float) -> float:

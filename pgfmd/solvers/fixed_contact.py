@@ -170,13 +170,6 @@ def wall_increment(problem: ContactProblem, pressure: np.ndarray, width: float) 
     root = np.sqrt(pressure / problem.mean_pressure)
     residual, direction, y, product = root.copy(), root.copy(), np.zeros_like(root), np.empty_like(root)
 
-    def bounds() -> tuple[float, float]:
-        value = size * reduction.dot(y, root - residual) / reduction.dot(root, y) ** 2
-        share = alpha * root**2 + 1  # ε₁ = α √p r/share, and ε₂²/D = (r/share)²
-        square, _ = energy_of_residual(grid, source(alpha * root * residual / share), stiffness)
-        rest = reduction.dot(residual / share, residual / share)
-        return value - value**2 * (2 * square + rest) / size, value
-
     square = goal = reduction.dot(residual, residual)
     for iteration in range(MOST_ITERATIONS):
         grid.convolve(source(root * direction), respond, sink(product))
@@ -192,7 +185,11 @@ def wall_increment(problem: ContactProblem, pressure: np.ndarray, width: float) 
             grid.convolve(source(root * y), respond, sink(product))
             residual[...] = root - y - root * product  # the updated one drifts from that of y
             square = reduction.dot(residual, residual)
-            lower, upper = bounds()
+            upper = size * reduction.dot(y, root - residual) / reduction.dot(root, y) ** 2
+            share = alpha * root**2 + 1  # ε₁ = α √p r/share, and ε₂²/D = (r/share)²
+            energy, _ = energy_of_residual(grid, source(alpha * root * residual / share), stiffness)
+            rest = reduction.dot(residual / share, residual / share)
+            lower = upper - upper**2 * (2 * energy + rest) / size
             if upper - lower <= width * upper or stuck:
                 break
             goal = square * max(CUT**2, width * upper / (upper - lower) / 2)

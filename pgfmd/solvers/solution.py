@@ -12,6 +12,8 @@ import numpy as np
 from pgfmd.errors import SolverError, Uncertifiable
 from pgfmd.grid.slab_grid import SlabGrid
 
+Precision = type[np.float32] | type[np.float64]
+
 STEPS = 12  # of an outer iteration without halving the least error, before giving up
 SOLVER_SHARE = 0.8  # part of the tolerance that is the solver's, where pressures are stored in single precision
 

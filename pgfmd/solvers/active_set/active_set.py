@@ -42,9 +42,7 @@ from pgfmd.solvers.active_set.continuation import (
 from pgfmd.solvers.active_set.particle_mesh import FullResponse, MeshResponse
 from pgfmd.solvers.active_set.unknowns import PIECE, Fields
 from pgfmd.solvers.second_order import LEAST_ERROR, Rounding, certified, energy_of_residual
-from pgfmd.solvers.solution import SOLVER_SHARE, STEPS, Patience, uncertifiable
-
-Precision = type[np.float32] | type[np.float64]
+from pgfmd.solvers.solution import SOLVER_SHARE, STEPS, Patience, Precision, uncertifiable
 
 LEAST_CUT, MOST_CUT = 0.2, 0.14  # factor on the residual in one step, at errors above 4 % and below 2 %
 CUT_POWER = 0.7  # after a step with the factor f on the error, the next one takes f^0.7 or less on the residual

@@ -31,7 +31,7 @@ from pgfmd.physics.laws.exponential_law import ExponentialWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.exponential_wall import loops
 from pgfmd.solvers.law_operations import LawOperations, LawState, local_compliance
-from pgfmd.solvers.solution import Patience, uncertifiable
+from pgfmd.solvers.solution import Patience, Precision, uncertifiable
 
 REACH = 8  # diameter in pixels of the region whose compliance is α: if smaller, points that join a patch overshoot
 BACK = 0.25  # a step that raises both merits is shortened to this part
@@ -47,7 +47,6 @@ MOST_DESCENTS, HALVINGS = 100, 40  # steps for one ζ; times that a step is halv
 STIFF_LOAD = 1e12  # compliance per p̂ over the heights, whose cube single precision cannot hold (3e38)
 
 Merits = tuple[float, float]
-Precision = type[np.float32] | type[np.float64]
 
 
 class Newton(LawOperations):
