@@ -25,12 +25,12 @@ from functools import cached_property
 
 import numpy as np
 
-from pgfmd.errors import Uncertifiable
+from pgfmd.errors import SolverError, Uncertifiable
 from pgfmd.grid.aligned import widened
 from pgfmd.grid.kernels import jit, u
 from pgfmd.grid.transforms import in_chunks, source
 from pgfmd.physics.problem import Aim, ContactProblem, Measured
-from pgfmd.solvers.active_set.conjugate_gradients import ConjugateGradients
+from pgfmd.solvers.active_set.conjugate_gradients import ConjugateGradients, Mean
 from pgfmd.solvers.active_set.continuation import (
     BESIDE,
     STRIDES,
@@ -252,6 +252,16 @@ class Relaxation:
             return 0.0
         error = max(square / (2 * state.energy) - self.enough, 0.0)
         return state.aim.pressure if state.aim.moves(self.measured(state), error) else 0.0
+
+    def imposed_level(self, state: State, least: float = -math.inf) -> tuple[float, Mean]:
+        """The level λ by which an imposed approach is sought, at least `least`, and how the system treats Σ x."""
+        assert self.imposed is not None
+        if not (state.load > 0 and state.energy > 0):
+            raise SolverError("contact is lost; allow a larger tolerance")
+        at, compliance = self.measured(state), self.imposed.compliance / self.grid.size
+        state.aim = state.aim or Aim(self.imposed)
+        state.aim.follow(at, least)
+        return state.aim.level, Mean(False, compliance, 1 / (at.range / state.load + compliance))
 
     def compute_gap(self, state: State, precision: Precision) -> None:
         """Sets the state's gap, of either sign; its base: the last λ, or 0 in double precision.  Collective."""

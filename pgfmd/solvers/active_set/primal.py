@@ -14,8 +14,7 @@ from functools import partial
 
 import numpy as np
 
-from pgfmd.errors import SolverError
-from pgfmd.physics.problem import Aim, ContactProblem
+from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.active_set import CUT_POWER, Precision, Relaxation, State
 from pgfmd.solvers.active_set.conjugate_gradients import NEUTRAL, ConjugateGradients, Mean
 from pgfmd.solvers.active_set.feasible import Feasible
@@ -106,7 +105,7 @@ class PressureSteps(Relaxation):
         level is shifted by about what that load needs; `_solve` scales the change to that load.  Collective.
         """
         self.measure(state)
-        if (imposed := self.imposed) is None:
+        if self.imposed is None:
             touching = -math.inf if loaded_only else state.level
             system = self._aimed_at(state, state.level, touching, NEUTRAL)
             if loaded_only or not (pressure := self.next_pressure(state, system.square)):
@@ -115,13 +114,8 @@ class PressureSteps(Relaxation):
             at, self.next_load = self.measured(state), pressure * self.grid.size
             level = state.level + at.range * (self.next_load / state.load - 1)
             return self._aimed_at(state, level, touching, Mean(False, 0.0, state.load / at.range))
-        if not (state.load > 0 and state.energy > 0):
-            raise SolverError("contact is lost; allow a larger tolerance")
-        at, compliance = self.measured(state), imposed.compliance / self.grid.size
-        mean = Mean(False, compliance, 1 / (at.range / state.load + compliance))
-        aim = state.aim = state.aim or Aim(imposed)
-        aim.follow(at, -math.inf if self.exact else (LIGHTEST - 1) * self.summit)
-        level = aim.level - state.base
+        level, mean = self.imposed_level(state, -math.inf if self.exact else (LIGHTEST - 1) * self.summit)
+        level -= state.base
         return self._aimed_at(state, level, -math.inf if loaded_only else level, mean)
 
     def _aimed_at(self, state: State, level: float, touching: float, mean: Mean) -> ConjugateGradients:

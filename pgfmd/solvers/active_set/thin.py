@@ -13,9 +13,8 @@ from functools import cached_property
 
 import numpy as np
 
-from pgfmd.errors import SolverError
 from pgfmd.grid.transforms import sink, source
-from pgfmd.physics.problem import Aim, ContactProblem
+from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.solid import SOFT
 from pgfmd.solvers.active_set.active_set import Precision, Relaxation, State
 from pgfmd.solvers.active_set.conjugate_gradients import NEUTRAL, Mean
@@ -155,19 +154,12 @@ class ThinSteps(Relaxation):
         self.compute_gap(state, precision)
         self.measure(state)
         mask = state.pressure > 0 if self.mask is None else self.mask
-        if (imposed := self.imposed) is None:
-            system = ThinSystem(self, mask, np.where(mask, state.level - state.gap, 0.0), NEUTRAL)
-            if not (pressure := self.next_pressure(state, system.square)):
-                return system
+        level, mean = (state.level, NEUTRAL) if self.imposed is None else self.imposed_level(state)
+        system = ThinSystem(self, mask, np.where(mask, level - state.gap, 0.0), mean)
+        if pressure := self.next_pressure(state, system.square):
             self._move_load(state, pressure)
-            return ThinSystem(self, mask, np.where(mask, state.level - state.gap, 0.0), NEUTRAL)
-        if not (state.load > 0 and state.energy > 0):
-            raise SolverError("contact is lost; allow a larger tolerance")
-        at, compliance = self.measured(state), imposed.compliance / self.grid.size
-        mean = Mean(False, compliance, 1 / (at.range / state.load + compliance))
-        aim = state.aim = state.aim or Aim(imposed)
-        aim.follow(at, -math.inf)
-        return ThinSystem(self, mask, np.where(mask, aim.level - state.gap, 0.0), mean)
+            system = ThinSystem(self, mask, np.where(mask, state.level - state.gap, 0.0), NEUTRAL)
+        return system
 
     def _move_load(self, state: State, mean_pressure: float) -> None:
         """Scales the pressures to this load.  Collective."""
