@@ -65,9 +65,8 @@ class Branch:
         assert isinstance(problem.law, AttractiveWall)
         if load.branch == "probe" and not isinstance(problem.law, RangedWall):
             raise InputError(f'load.branch = "probe": wall.kind = {show(problem.law.kind)} has no range to lengthen')
-        self.load, self.name, self.problem, self.grid, self.tolerance = (
-            load, load.control, problem, problem.grid, tolerance
-        )  # fmt: skip
+        self.load, self.name, self.tolerance = load, load.control, tolerance
+        self.problem, self.grid = problem, problem.grid
         self.stickiness = resolved(problem, problem.law)
         self.contact = AdhesiveContact(problem)
         self.last: Point | None = None

@@ -50,9 +50,7 @@ SINGLE_FROM = 1e-4  # width of the bounds from which transforms in single precis
 
 
 class Increment(NamedTuple):
-    """x (nx_local, ny), the change of the pressure per change of its mean, 0 outside the contact; bounds of K, pressure
-    per length; transform pairs.
-    """
+    """x (nx_local, ny), the change of pressure per that of its mean; bounds of K, pressure per length; transforms."""
 
     pressure: np.ndarray
     lower: float

@@ -245,9 +245,7 @@ class LoadControl:
         return self._guess_from_coarse(target) or self.control.guess(target)
 
     def _guess_from_coarse(self, target: float) -> float | None:
-        """ln p̄ of the contact of a patch with a hard wall on half as many points each way, about; None if there is
-        none.  Sets also the slope with which the search begins.  Collective.
-        """
+        """ln p̄, about, and the slope, from a patch of half the points each way; None if there is none.  Collective."""
         control, problem = self.control, self.problem
         if self.grid.domain.wraps or problem.law.kind != "hard" or min(self.grid.shape) < 2 * LEAST_SIDE:
             return None

@@ -69,9 +69,7 @@ def _worth(grid: SlabGrid, box: Rectangle) -> bool:
 
 
 def _higher(problem: ContactProblem, depth: float, least: tuple[int, int] = (1, 1)) -> Rectangle:
-    """The rectangle of the points no more than `depth` below the highest one; with a least number of points of its
-    sides, they have one of `few`.  Collective.
-    """
+    """The rectangle of points within `depth` of the top; with a `least`, sides are rounded up by `few`.  Collective."""
     grid, heights = problem.grid, problem.heights
     level, rows = grid.reduction.max(heights) - depth, np.zeros(grid.shape[0], bool)
 

@@ -104,9 +104,7 @@ class GapSteps(Relaxation):
         state.clipped, state.estimated, state.base = True, False, 0.0
 
     def compute_pressure(self, state: State, precision: Precision) -> float:
-        """p = p̄ + K(h + g) for the state's gap, with either sign.  Returns the change of p̄ that a given mean gap asks
-        for, where Σ p g = 0; else 0.  Collective.
-        """
+        """p = p̄ + K(h + g), of either sign; returns the change of p̄ for a given mean gap, else 0.  Collective."""
         mean, sums = self.problem.mean_pressure, []
         works: dict[int, tuple[float, ...]] = {}
 
@@ -125,7 +123,7 @@ class GapSteps(Relaxation):
         self.mean = float(total) / self.grid.size
         if self.imposed is None:
             return 0.0
-        return -float(self.grid.reduction.sums_of_blocks(works, 1)[0] / total) - mean
+        return -float(self.grid.reduction.sums_of_blocks(works, 1)[0] / total) - mean  # then Σ p g = 0
 
     def certify(self, state: State, system: ConjugateGradients, precision: Precision) -> float:
         """As `Relaxation.certify`, with the gap of the settled pressure; before the system is solved.  Collective."""

@@ -114,9 +114,7 @@ def block_sums(values: np.ndarray, points: Points, part: Part, sums: np.ndarray)
 def subtract_blocks(
     values: np.ndarray, table: np.ndarray, points: Points, part: tuple[int, int, int], out: np.ndarray
 ) -> None:
-    """out[k] = values[k] − table[(start + i) >> SHIFT, columns[k] >> SHIFT] for the points k of rows i; part: start,
-    and the first row and the end of these rows.
-    """
+    """out[k] = values[k] − table[(start + i) >> SHIFT, columns[k] >> SHIFT], k of rows i; part: start, first, stop."""
     columns, offsets = points
     start, first, stop = part
     for i in range(first, stop):

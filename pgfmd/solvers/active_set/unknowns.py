@@ -110,15 +110,13 @@ class SetVector:
 
 @jit
 def choose_points(fields: Fields, level: float, highest: float, counts: np.ndarray, columns: np.ndarray) -> int:
-    """Lists the columns of the unknowns among some rows, and how many each row has; returns how many there are.  A
-    vectorised loop finds the pieces of rows in which there are any.
-    """
+    """Lists the columns of the unknowns among some rows, and how many each row has; returns how many there are."""
     count = 0
     for i in range(counts.size):
         before, p, g = count, fields[0][i], fields[1][i]
         for first in range(0, p.size, PIECE):
             stop, some = min(first + PIECE, p.size), False
-            for j in range(first, stop):
+            for j in range(first, stop):  # vectorised; most pieces have none
                 some |= ((p[u(j)] > 0) | (g[u(j)] < level)) & ((p[u(j)] < highest) | (g[u(j)] > level))
             for j in range(first, stop if some else first):
                 columns[u(count)] = j

@@ -103,9 +103,7 @@ class Newton(LawOperations):
         return merits
 
     def step_back(self, pressure: np.ndarray, gap: np.ndarray, state: LawState) -> None:
-        """Shortens the step from an old pressure and gap to the part `BACK`.  On this way the objective is convex, and
-        the gap linear, so that no convolution is needed.  Collective.
-        """
+        """Shortens a step to the part `BACK`: the objective is convex there, and the gap linear.  Collective."""
 
         def mix(old: np.ndarray, new: np.ndarray) -> None:
             new -= old
