@@ -79,8 +79,9 @@ class LawOperations:
         return self.grid.reduction.sums(*np.sum(parts, axis=0))
 
     def each(self, function: Callable[..., None], *fields: np.ndarray) -> None:
-        """Calls a function with the same rows of some fields; threads share the rows."""
-        self.grid.threads.split(lambda a, b: function(*(field[a:b] for field in fields)), self.grid.local_shape[0])
+        """Calls a function with the same rows of some fields, a band at a time, which stays in cache."""
+        rows, band = self.grid.local_shape[0], self.grid.band
+        self.grid.threads.share(lambda _, a, b: function(*(field[a:b] for field in fields)), rows, band)
 
     def certify(self, state: LawState) -> None:
         """Level, contact and certified error of a state whose gap was computed last.  The error is infinite if a

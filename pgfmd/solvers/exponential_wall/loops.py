@@ -35,14 +35,6 @@ def newton_start(
 
 
 @_jit
-def next_direction(residual: np.ndarray, direction: np.ndarray, beta: np.float32) -> None:
-    """direction = residual + beta direction."""
-    for i in range(residual.shape[0]):
-        for j in range(residual.shape[1]):
-            direction[i, j] = residual[i, j] + beta * direction[i, j]
-
-
-@_jit
 def curvature_sums(root: np.ndarray, direction: np.ndarray, product: np.ndarray) -> tuple[float, float, float]:
     """(Σ (√p̂ d) product, Σ d², Σ p̂ product): what a step along d needs."""
     curved = square = along = 0.0

@@ -163,10 +163,14 @@ class Newton(LawOperations):
             system, sums = (direction[rows], product[rows]), (change[rows], response[rows])
             return loops.step(root[rows], system, sums, residual[rows], numbers)
 
+        def turn(residual: np.ndarray, direction: np.ndarray) -> None:
+            direction *= real(beta)
+            direction += residual
+
         for _ in range(MOST_INNER):
             if square <= goal:
                 break
-            self.each(partial(loops.next_direction, beta=real(beta)), residual, direction)
+            self.each(turn, residual, direction)
             grid.convolve(fill, self.compliance[real], sink(product), real)
             curved, norm, along = self.total(loops.curvature_sums, root, direction, product)
             length = square / (curved + zeta * norm)
