@@ -284,33 +284,31 @@ class _Search:
 
     def restart(self, slope: float) -> None:
         """Forgets all values, which were not accurate enough, and begins with this slope."""
-        self.slope = slope
+        self.slope, self.step = slope, STEP
+        self.low, self.high = -math.inf, math.inf
         self.points: list[tuple[float, float]] = []
-        self.low: tuple[float, float] | None = None
-        self.high: tuple[float, float] | None = None
-        self.step = STEP
 
     @property
     def width(self) -> float:
         """Width of the bracket; inf as long as there is none."""
-        return self.high[0] - self.low[0] if self.low and self.high else math.inf
+        return self.high - self.low
 
     def add(self, value: float) -> None:
         """Adds the value at `at`, and moves `at` by a secant, inside the bracket or else by a limited step."""
         self.points.append((self.at, value))
         if value < 0:
-            self.low = (self.at, value) if self.low is None or self.at > self.low[0] else self.low
+            self.low = max(self.low, self.at)
         else:
-            self.high = (self.at, value) if self.high is None or self.at < self.high[0] else self.high
+            self.high = min(self.high, self.at)
         if len(self.points) > 1 and self.points[-2][0] != self.at:
             slope = (value - self.points[-2][1]) / (self.at - self.points[-2][0])
             self.slope = slope if slope > 0 else self.slope
         trial = self.at - value / self.slope
-        if self.low and self.high:
+        if self.width < math.inf:
             # Every fourth step, later every second one, halves the bracket: secants alone converge slowly to a
             # zero of a strongly curved function.
-            inside = self.low[0] < trial < self.high[0] and len(self.points) % (4 if len(self.points) < 10 else 2)
-            self.at = trial if inside else (self.low[0] + self.high[0]) / 2
+            inside = self.low < trial < self.high and len(self.points) % (4 if len(self.points) < 10 else 2)
+            self.at = trial if inside else (self.low + self.high) / 2
         else:
             trial = self.at + max(-self.step, min(self.step, trial - self.at))
             self.at = trial if trial < self.limit else (self.at + self.limit) / 2
