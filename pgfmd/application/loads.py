@@ -163,6 +163,7 @@ class Loads:
             start = None if isinstance(control, Branch) and control.last else self.checkpoints.load(index)
             self.interruptions.load_begins(resumed=start is not None)
             if isinstance(control, Branch):
+                self._transforms = control.contact.grid.transforms
                 control.resume(start, self.targets[index - 1])
                 return control.solution(self.targets[index])
             control.resume(start)
@@ -230,7 +231,9 @@ class Loads:
 
     def _follow(self, grid: SlabGrid, state: SolverState) -> None:
         """Monitor along a branch, which restarts from its last load: no checkpoints within a load."""
-        self.progress.step(grid.shape, state.error, state.contact / grid.size, grid.transforms - self._transforms)
+        assert isinstance(self.control, Branch)
+        transforms = self.control.contact.grid.transforms - self._transforms  # of the torus, if boundaries are open
+        self.progress.step(grid.shape, state.error, state.contact / grid.size, transforms)
         self.interruptions.between_steps()
 
     def _save(self, problem: ContactProblem | None, state: SolverState | ContactSolution) -> None:
