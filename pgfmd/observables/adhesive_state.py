@@ -1,21 +1,16 @@
 """What is said of a contact under a wall that attracts: its energy, its branch, and how sure it is a minimum."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pgfmd.errors import InputError
+from pgfmd.observables.contact import Contact
 from pgfmd.observables.observable import Observable
 from pgfmd.observables.schema import Dataset, Groups
 from pgfmd.options.text import show
-
-if TYPE_CHECKING:
-    from pgfmd.observables.contact import Contact
-    from pgfmd.physics.laws.law import ContactLaw
-    from pgfmd.physics.solids.solid import Solid
+from pgfmd.physics.laws.law import ContactLaw
+from pgfmd.physics.solids.solid import Solid
 
 COLUMNS = {
     "energy": Dataset("{pressure}*{length}", "elastic energy and that of the attraction, per area of the cell"),

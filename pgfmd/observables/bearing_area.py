@@ -1,15 +1,13 @@
 """The bearing area: where the rigid surface alone rises above a height, chosen to give the solid's contact area."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pgfmd.grid.grid_cost import Cost
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.observables.contact import Contact
 from pgfmd.observables.contact_patches import SHAPES, ContactPatches
 from pgfmd.observables.observable import Observable, spectrum_layout
 from pgfmd.observables.patch_table import label_patches
@@ -18,9 +16,6 @@ from pgfmd.observables.schema import Dataset, Groups
 from pgfmd.observables.spectra import acf_layout
 from pgfmd.parallel.compiled import compiled
 from pgfmd.parallel.mpi import MPI
-
-if TYPE_CHECKING:
-    from pgfmd.observables.contact import Contact
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,18 +1,13 @@
 """The contact patches: connected sets of grid points in contact."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from pgfmd.grid.grid_cost import Cost
+from pgfmd.observables.contact import Contact
 from pgfmd.observables.observable import Observable
 from pgfmd.observables.schema import Dataset, Groups
 from pgfmd.options.rules import choice
 from pgfmd.options.section import key
-
-if TYPE_CHECKING:
-    from pgfmd.observables.contact import Contact
 
 PATCH = ("patch",)
 SHAPES = {

@@ -20,12 +20,10 @@ certified energy error C (`solvers.controls`), times SOLVER.
 Why, and where b, c, BAND and SOLVER come from: NUMERICS.md, "Error bars of the other numbers".
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -33,15 +31,13 @@ from pgfmd.grid.grid_cost import Cost
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.transfer import SubGrid, restrict, restrict_locally
 from pgfmd.grid.transforms import source
+from pgfmd.observables.contact import Contact
 from pgfmd.observables.contact_area import Area, ContactLine, contact_line
 from pgfmd.observables.observable import Observable
 from pgfmd.observables.schema import Dataset, Groups
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.options import Solver
 from pgfmd.solvers.solution import ContactSolution, Solve
-
-if TYPE_CHECKING:
-    from pgfmd.observables.contact import Contact
 
 
 @dataclass(frozen=True, kw_only=True)

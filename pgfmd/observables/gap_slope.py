@@ -1,21 +1,16 @@
 """The rms slope of the gap."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pgfmd.grid.grid_cost import Cost
 from pgfmd.grid.transforms import source
+from pgfmd.observables.contact import Contact
 from pgfmd.observables.observable import Observable
 from pgfmd.observables.rough_surface import squared
 from pgfmd.observables.schema import Dataset, Groups
-
-if TYPE_CHECKING:
-    from pgfmd.observables.contact import Contact
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,24 +4,20 @@ Edges of bins are decimal numbers, chosen from the extreme values rounded outwar
 number of ranks, not even in the last bit.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.observables.contact import Contact
 from pgfmd.observables.observable import Observable
 from pgfmd.observables.schema import Dataset, Groups
 from pgfmd.options.rules import integer
 from pgfmd.options.section import key
 from pgfmd.parallel.mpi import MPI
-
-if TYPE_CHECKING:
-    from pgfmd.observables.contact import Contact
 
 
 def _layout(unit: str, what: str) -> dict[str, Dataset]:

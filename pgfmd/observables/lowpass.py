@@ -1,11 +1,8 @@
 """f(q) as solved: the contact area of the surface without its modes beyond q, under the same load."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,6 +11,7 @@ from pgfmd.grid.grid_cost import Cost
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.transfer import SubGrid, restrict
 from pgfmd.grid.transforms import source
+from pgfmd.observables.contact import Contact
 from pgfmd.observables.contact_area import RESOLVED, contact_area, line_of
 from pgfmd.observables.contact_line import staircase
 from pgfmd.observables.observable import Observable
@@ -22,10 +20,6 @@ from pgfmd.options.rules import POSITIVE, many
 from pgfmd.options.section import key
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.solution import Solve
-
-if TYPE_CHECKING:
-    from pgfmd.observables.contact import Contact
-
 
 POINTS_PER_WAVE = 8
 """Least number of grid points per shortest remaining wavelength.  The area inside the contact line is then within .2 %

@@ -1,26 +1,25 @@
 """Partial slip under a tangential load, by the difference of two normal contacts."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.grid_cost import Cost
+from pgfmd.grid.transforms import sink, source
+from pgfmd.observables.contact import Contact
 from pgfmd.observables.observable import Observable, is_rough
 from pgfmd.observables.schema import TABLE, Dataset, Groups
 from pgfmd.options.rules import POSITIVE, number
 from pgfmd.options.section import key
 from pgfmd.physics.laws.law import ContactLaw
 from pgfmd.physics.problem import ContactProblem
+from pgfmd.physics.solids.open_kernel import tangential_action
 from pgfmd.physics.solids.solid import Solid
-
-if TYPE_CHECKING:
-    from pgfmd.observables.contact import Contact
+from pgfmd.solvers.fixed_contact import increment
+from pgfmd.solvers.options import Solver
 
 TOLERANCE = 1e-12  # of the second contact: the stick area of rough contacts then moves as one to 1e-6 of the shift
 MOST_TRIALS, ENOUGH = 12, 1e-6  # contacts until a shift is met, and its relative error
@@ -76,9 +75,6 @@ class PartialSlip(Observable):
 
     def measure(self, contact: Contact) -> Groups:
         """Solves the contact at the lower load.  Collective."""
-        from pgfmd.solvers.fixed_contact import increment
-        from pgfmd.solvers.options import Solver
-
         problem, grid, mu = contact.problem, contact.grid, float(self.friction or 0.0)
         nu, mean, load = float(problem.solid.poisson or 0.0), contact.mean_pressure, math.nan
         ratio = (2 - nu) / (2 - 2 * nu) * mu  # of a shift to an approach
@@ -120,9 +116,6 @@ class PartialSlip(Observable):
     @staticmethod
     def _variation(problem: ContactProblem, traction: np.ndarray, stick: np.ndarray) -> float:
         """Rms variation of the relative displacement over the stick area.  Collective."""
-        from pgfmd.grid.transforms import sink, source
-        from pgfmd.physics.solids.open_kernel import tangential_action
-
         grid, nu, variance = problem.grid, float(problem.solid.poisson or 0.0), 0.0
         displacement = grid.new_field()
         for along in (True, False):

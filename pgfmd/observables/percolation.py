@@ -6,11 +6,9 @@ each other and with the clusters of the points above the bracket: the first edge
 constriction, exactly.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,13 +16,11 @@ from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.grid_cost import Cost
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.observables.contact import Contact
 from pgfmd.observables.observable import Observable
 from pgfmd.observables.patch_table import Labels, label_patches
 from pgfmd.observables.run_length import PeriodicSets, paint
 from pgfmd.observables.schema import TABLE, Dataset, Groups
-
-if TYPE_CHECKING:
-    from pgfmd.observables.contact import Contact
 
 GATHERED = 100_000  # points of the bracket that rank 0 receives
 SAMPLES = 50_000  # of values, of which thresholds are chosen

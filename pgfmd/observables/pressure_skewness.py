@@ -1,18 +1,13 @@
 """The skewness of the pressure."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pgfmd.observables.contact import Contact
 from pgfmd.observables.observable import Observable
 from pgfmd.observables.schema import Dataset, Groups
-
-if TYPE_CHECKING:
-    from pgfmd.observables.contact import Contact
 
 NARROWEST = 1e-12  # standard deviation over mean below which differences from the mean (rounded to 1e-16) say nothing
 

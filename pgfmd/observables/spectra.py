@@ -1,9 +1,6 @@
 """Power spectra of stress, contact, heights and gap, and autocorrelations, averaged over direction."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,14 +8,12 @@ from pgfmd.grid.cell import Cell
 from pgfmd.grid.grid_cost import Cost
 from pgfmd.grid.transforms import source
 from pgfmd.observables.binning import lag_bins
+from pgfmd.observables.contact import Contact
 from pgfmd.observables.observable import Observable, Spectrum, spectrum_layout
 from pgfmd.observables.rough_surface import correlate
 from pgfmd.observables.schema import Dataset, Groups
 from pgfmd.options.rules import choice, integer
 from pgfmd.options.section import key
-
-if TYPE_CHECKING:
-    from pgfmd.observables.contact import Contact
 
 
 @dataclass(frozen=True, kw_only=True)

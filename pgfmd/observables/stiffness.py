@@ -1,10 +1,7 @@
 """Stiffness of the interface at fixed contact, with bounds, and its electrical or thermal conductance."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,15 +9,15 @@ from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.domain import Domain
 from pgfmd.grid.grid_cost import Cost
+from pgfmd.observables.contact import Contact
+from pgfmd.observables.discretisation import on_half_grid
 from pgfmd.observables.observable import Observable, is_rough
 from pgfmd.observables.schema import TABLE, Dataset, Groups
 from pgfmd.options.rules import POSITIVE, flag, number, pair
 from pgfmd.options.section import key
 from pgfmd.physics.laws.law import ContactLaw
 from pgfmd.physics.solids.solid import Solid
-
-if TYPE_CHECKING:
-    from pgfmd.observables.contact import Contact
+from pgfmd.solvers.fixed_contact import increment
 
 UNIT, CONDUCTANCE = "{pressure}/({length})", "conductivity/({length})"
 
@@ -79,9 +76,6 @@ class Stiffness(Observable):
 
     def measure(self, contact: Contact) -> Groups:
         """Solves for the response at fixed contact.  Collective."""
-        from pgfmd.observables.discretisation import on_half_grid
-        from pgfmd.solvers.fixed_contact import increment
-
         problem, grid = contact.problem, contact.grid
         found = increment(problem, contact.pressure, self.width)
         contact.keep("current_density", found.pressure)

@@ -1,25 +1,20 @@
 """The elastic stress below the surface: von Mises' equivalent stress over depth, and where it is largest."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.grid_cost import Cost
+from pgfmd.observables.contact import Contact
 from pgfmd.observables.observable import Observable
 from pgfmd.observables.schema import TABLE, Dataset, Groups
 from pgfmd.options.rules import many, number
 from pgfmd.options.section import key
 from pgfmd.physics.laws.law import ContactLaw
 from pgfmd.physics.solids.solid import Solid
-
-if TYPE_CHECKING:
-    from pgfmd.observables.contact import Contact
 
 DEPTHS, DEEPEST = 12, 4  # depths if none are given: from half a pixel to the longer side of the cell over DEEPEST
 
