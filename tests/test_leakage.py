@@ -29,7 +29,7 @@ pytestmark = pytest.mark.mpi
 def flow(comm, gap, axis, width=1e-12, lengths=None):
     """The flow through a whole gap (nx, ny), open where it is positive."""
     grid = SlabGrid(comm, gap.shape, lengths)
-    return flow_through(grid, gap[grid.rows].copy(), gap[grid.rows] > 0, (axis, width, True))
+    return flow_through(grid, gap[grid.rows].copy(), gap[grid.rows] > 0, axis, width, True)
 
 
 def whole(comm, field):
@@ -247,7 +247,7 @@ def test_pools_near_closure(monkeypatch, shortest, pressure, many):
     size = np.where((q >= 2 / n) & (q <= 1 / shortest), np.maximum(q, 1 / n) ** -1.3, 0)
     heights = np.fft.irfft2(size * np.exp(2j * np.pi * np.random.default_rng(7).random(q.shape)), s=(n, n))
     contact = pgfmd.solve(heights / np.std(np.diff(heights, axis=0)), pressure, tolerance=1e-10)
-    found = flow_through(SlabGrid(ALONE, (n, n)), contact.gap, contact.pressure <= 0, (0, 1e-8, False))
+    found = flow_through(SlabGrid(ALONE, (n, n)), contact.gap, contact.pressure <= 0, 0, 1e-8)
     assert found.upper > 0 and found.iterations <= 11  # 9 to 11; with aggregates over weak faces up to 56
 
 

@@ -1,26 +1,21 @@
 """Leakage: how much of a viscous fluid flows through the gap, with bounds from both sides."""
 
-from __future__ import annotations
-
 import logging
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.grid_cost import Cost
+from pgfmd.observables.contact import Contact
+from pgfmd.observables.discretisation import on_half_grid
 from pgfmd.observables.observable import Observable
 from pgfmd.observables.schema import TABLE, Dataset, Groups
 from pgfmd.options.rules import choice, flag, number
 from pgfmd.options.section import key
-
-if TYPE_CHECKING:
-    from pgfmd.observables.contact import Contact
-    from pgfmd.observables.network import Flow
-    from pgfmd.physics.problem import ContactProblem
-    from pgfmd.solvers.solution import ContactSolution
+from pgfmd.physics.problem import ContactProblem
+from pgfmd.solvers.solution import ContactSolution
 
 log = logging.getLogger("pgfmd")
 
@@ -86,26 +81,22 @@ class Leakage(Observable):
 
     def measure(self, contact: Contact) -> Groups:
         """Solves for the flow.  Collective."""
-        from pgfmd.observables.discretisation import on_half_grid
-        from pgfmd.observables.network import flow_through
+        from pgfmd.observables.network import Flow, flow_through
 
         contact.grid.free()
+        grid, mean_gap = contact.grid, contact.mean_gap or math.nan
         wanted = any(field in contact.surface.fields for field in self.fields)
-        problem, mean_gap = contact.problem, contact.mean_gap or math.nan
-
-        def flow(problem: ContactProblem, solution: ContactSolution, axis: int, keep: bool = False) -> Flow:
-            open_ = solution.pressure_in_contact() <= 0
-            return flow_through(problem.grid, solution.gap, open_, (axis, self.width, keep))
 
         def coarse_flows(coarse: ContactProblem, solution: ContactSolution) -> list[float]:
-            return [sum(flow(coarse, solution, axis)[:2]) / 2 for axis in self.axes()]
+            mask = solution.pressure_in_contact() <= 0
+            flows = [flow_through(coarse.grid, solution.gap, mask, axis, self.width) for axis in self.axes()]
+            return [(found.lower + found.upper) / 2 for found in flows]
 
-        columns: dict[str, float] = {}
-        rows = []
-        halves = on_half_grid(problem, contact.surface.solve, coarse_flows) if self.half_grid else None
-        flows = []
-        for place, axis in enumerate(self.axes()):
-            found = flow(problem, contact, axis, wanted and place == 0)
+        halves = on_half_grid(contact.problem, contact.surface.solve, coarse_flows) if self.half_grid else None
+        mask = contact.pressure_in_contact() <= 0
+        flows, columns = list[Flow](), dict[str, float]()
+        for axis in self.axes():
+            found = flow_through(grid, contact.gap, mask, axis, self.width, wanted and not flows)
             if found.fluxes is not None:
                 for name, field in zip(self.fields, found.fluxes, strict=True):
                     contact.keep(name, field)
@@ -116,11 +107,11 @@ class Leakage(Observable):
         for axis, found, value, change in zip(self.axes(), flows, values, changes, strict=True):
             error = (found.upper - found.lower) / 2 + 4 * max(abs(change), value * largest)
             value = max(value + change, 0.0)
-            if found.upper == 0 and contact.grid.comm.rank == 0:
+            if found.upper == 0 and grid.comm.rank == 0:
                 log.info("leakage: no path through the gap percolates along %s: the flow factor is 0", "xy"[axis])
             for name, unit in (("leakage", 1.0), ("flow_factor", mean_gap)):  # whose cube may overflow
                 relative, its_error = (number / unit / unit / unit for number in (value, error))
                 columns |= {f"{name}_{'xy'[axis]}": relative, f"{name}_{'xy'[axis]}_error": its_error}
-            rows.append((axis, found.lower, found.upper, found.iterations))
+        rows = [(axis, flow.lower, flow.upper, flow.iterations) for axis, flow in zip(self.axes(), flows, strict=True)]
         bounds = dict(zip(self.layout["leakage"], map(np.array, zip(*rows, strict=True)), strict=True))
         return {TABLE: {name: np.array(number) for name, number in columns.items()}, "leakage": bounds}

@@ -113,13 +113,14 @@ class Network:
         return along_x, along_y
 
 
-def flow_through(grid: SlabGrid, gap: np.ndarray, mask: np.ndarray, how: tuple[int, float, bool]) -> Flow:
+def flow_through(
+    grid: SlabGrid, gap: np.ndarray, mask: np.ndarray, axis: int, width: float, with_flux: bool = False
+) -> Flow:
     """The flow through a gap (nx_local, ny) where a mask is set, as `Network.solve` gives it: K for g³ as conductivity,
-    the flux per width for a mean gradient of −1.  how: axis, width, whether with the flux.  Collective.
+    the flux per width for a mean gradient of −1.  Collective.
 
     Components that do not wind around the cell along the axis carry nothing, and are left out.
     """
-    axis, width, with_flux = how
     unit = float(grid.reduction.max(gap[mask]))
     for least in (NEGLIGIBLE * unit, 0.0):
         labels = label_patches(grid.comm, mask & (gap > least), grid.starts, 4)
@@ -128,8 +129,7 @@ def flow_through(grid: SlabGrid, gap: np.ndarray, mask: np.ndarray, how: tuple[i
         if len(winding):
             break
     else:
-        nothing = np.zeros((2, *mask.shape)) if with_flux else None
-        return Flow(0.0, 0.0, None if nothing is None else (nothing[0], nothing[1]), 0)
+        return Flow(0.0, 0.0, (np.zeros(mask.shape), np.zeros(mask.shape)) if with_flux else None, 0)
     cube = unit * unit * unit
     if not 1e-280 < cube < 1e280:
         raise InputError(f"leakage: the cube of the largest gap, {unit:g}, is beyond double precision: change the unit")

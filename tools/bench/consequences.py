@@ -194,7 +194,7 @@ def leakage() -> Iterator[Row]:
                     seconds, area = time.process_time() - began, np.mean(contact.pressure > 0)
                     for width in (1e-3, 1e-6, 1e-8) if n < 2048 else (1e-3,):
                         began = time.process_time()
-                        found = flow_through(grids[n], contact.gap, contact.pressure <= 0, (0, width, False))
+                        found = flow_through(grids[n], contact.gap, contact.pressure <= 0, 0, width)
                         case = f"n={n} lambda_s={shortest:g} H={hurst} seed={seed} f_c={area:.3f} width={width:g}"
                         if found.upper > 0:
                             yield case, "iterations", found.iterations
@@ -212,7 +212,7 @@ def peer() -> Iterator[Row]:
             mask = contact.pressure <= 0
             gap = np.where(mask, contact.gap, 0.0)
             began = time.process_time()
-            found = flow_through(grid, gap, mask, (0, 1e-8, False))
+            found = flow_through(grid, gap, mask, 0, 1e-8)
             if found.upper == 0:  # no path, where the other returns None
                 continue
             ours, began = time.process_time() - began, time.process_time()
