@@ -7,7 +7,6 @@ number of ranks, not even in the last bit.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -77,10 +76,17 @@ def pressure_groups(grid: SlabGrid, pressure: np.ndarray, bins: int) -> dict[str
     Densities are normalised to 1 over the contact, p > 0.  Without contact, counts are zero and the rest is NaN.  The
     fit is made on rank 0 only.  Two passes over the field.
     """
-    seen = look_over(grid, pressure)
-    linear = linear_edges(0.0, max(seen.largest, 0.0), bins)
-    logarithmic = log_edges(seen.least_positive, seen.largest, max(1, bins // LINEAR_PER_LOG))
-    mean = seen.total / seen.positive if seen.positive else math.nan  # over the contact
+
+    def survey(first: int, stop: int) -> tuple[int, float]:
+        inside = pressure[first:stop] > 0
+        return int(np.count_nonzero(inside)), float(pressure[first:stop].min(where=inside, initial=np.inf))
+
+    counts, least = zip(*grid.threads.collect(survey, len(pressure)), strict=True)
+    touching, largest = int(grid.reduction.sum(counts)), max(grid.reduction.max(pressure), 0.0)
+    linear = linear_edges(0.0, largest, bins)
+    logarithmic = log_edges(grid.reduction.min(least), largest, max(1, bins // LINEAR_PER_LOG))
+    total = grid.reduction.sum(pressure)
+    mean = total / touching if touching else math.nan  # over the contact
 
     def part(first: int, stop: int) -> tuple[np.ndarray, ...]:
         rows = pressure[first:stop]
@@ -89,13 +95,13 @@ def pressure_groups(grid: SlabGrid, pressure: np.ndarray, bins: int) -> dict[str
         return *counts, np.array([np.sum((inside / mean) ** order) for order in range(1, ORDERS + 1)])
 
     count, log_count, powers = _totals(grid, part)
-    fit = {"persson_fit": persson_fit(linear, count, seen.total / grid.size, grid.size)} if grid.comm.rank == 0 else {}
+    fit = {"persson_fit": persson_fit(linear, count, total / grid.size, grid.size)} if grid.comm.rank == 0 else {}
     return fit | {
-        "pressure_histogram": _histogram(linear, count, seen.positive),
-        "pressure_histogram_log": _histogram(logarithmic, log_count, seen.positive),
+        "pressure_histogram": _histogram(linear, count, touching),
+        "pressure_histogram_log": _histogram(logarithmic, log_count, touching),
         "pressure_moments": {
             "order": np.arange(1, ORDERS + 1),
-            "value": powers / seen.positive if seen.positive else np.full(ORDERS, np.nan),
+            "value": powers / touching if touching else np.full(ORDERS, np.nan),
         },
     }
 
@@ -106,8 +112,7 @@ def gap_groups(grid: SlabGrid, gap: np.ndarray, bins: int) -> dict[str, Group]:
     Gaps that are exactly zero, those of hard contact, are left out of the bins, but the density is over all points: its
     integral is 1 − f_c.  Two passes over the field.
     """
-    seen = look_over(grid, gap)
-    edges = linear_edges(min(seen.least, 0.0), max(seen.largest, 0.0), bins)
+    edges = linear_edges(min(grid.reduction.min(gap), 0.0), max(grid.reduction.max(gap), 0.0), bins)
 
     def part(first: int, stop: int) -> tuple[np.ndarray]:
         rows = gap[first:stop]
@@ -130,34 +135,6 @@ def persson_fit(edges: np.ndarray, count: np.ndarray, mean: float, points: int) 
     model = -np.diff(persson.exceedance(edges, 1.0, width)) / np.diff(edges)
     residual = np.sqrt(np.mean((model - density) ** 2) / np.mean(density**2))
     return {"width": np.array(width * mean), "residual": np.array(residual)}
-
-
-class Survey(NamedTuple):
-    """What one pass over a distributed field tells."""
-
-    positive: int  # points with a value > 0
-    total: float  # sum of all values
-    least_positive: float  # inf if there is none
-    least: float
-    largest: float
-
-
-def look_over(grid: SlabGrid, field: np.ndarray) -> Survey:
-    """Count, sum and extreme values of a slab (nx_local, ny).  Collective."""
-
-    def part(first: int, stop: int) -> tuple[float, ...]:
-        rows = field[first:stop]
-        positive = rows > 0
-        least_positive = rows.min(where=positive, initial=np.inf)
-        return int(np.count_nonzero(positive)), rows.sum(), least_positive, rows.min(), rows.max()
-
-    parts = grid.threads.collect(part, len(field))
-    positive, total, least_positive, least, largest = zip(*parts, strict=True)
-    reduction = grid.reduction
-    count, total = reduction.sums(sum(positive), math.fsum(total))
-    return Survey(
-        int(count), float(total), reduction.min(least_positive), reduction.min(least), reduction.max(largest)
-    )  # fmt: skip
 
 
 def _totals(grid: SlabGrid, part: Callable[[int, int], tuple[np.ndarray, ...]]) -> list[np.ndarray]:
