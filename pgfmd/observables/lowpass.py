@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -60,7 +59,8 @@ class Lowpass(Observable):
     def cost(self, cell: Cell, cutoff: float | None) -> Cost:
         """That of the contacts solved on their coarser grids."""
         highest = highest_wave_number(cell) if cutoff is None else cutoff
-        shares = [coarsening(cell, q) ** -2 for q in self.cutoffs(cell, highest) if is_lower(q, highest)]
+        cutoffs = self.cutoffs(cell, highest)
+        shares = [coarsening(cell, q) ** -2 for q in cutoffs[are_lower(cutoffs, highest)]]
         return Cost(transforms=TRANSFORMS * sum(shares), memory=8 + MEMORY * max(shares, default=0))
 
     def measure(self, contact: Contact) -> Groups:
@@ -70,15 +70,14 @@ class Lowpass(Observable):
         cutoffs = self.cutoffs(surface.cell, highest)
         areas = np.empty((len(cutoffs), 2))
         areas[:] = contact.area.fraction, contact.area.corrected  # of the surface with all its modes
-        lower = [index for index, q in enumerate(cutoffs) if is_lower(q, highest)]
-        coarse = [(coarsening(surface.cell, cutoffs[index]), cutoffs[index]) for index in lower]
-        areas[lower] = lowpass_areas(contact.problem, coarse, surface.solve, contact.pressure)
+        lower = are_lower(cutoffs, highest)
+        areas[lower] = lowpass_areas(contact, cutoffs[lower])
         return {"lowpass_area": {"q": cutoffs, "area": areas[:, 0], "area_corrected": areas[:, 1]}}
 
 
-def is_lower(cutoff: float, highest: float) -> bool:
-    """Whether a surface with modes up to `highest` has any beyond the cut-off."""
-    return cutoff < highest * (1 - 1e-9)
+def are_lower(cutoffs: np.ndarray, highest: float) -> np.ndarray:
+    """Whether a surface with modes up to `highest` has any beyond each cut-off."""
+    return cutoffs < highest * (1 - 1e-9)
 
 
 def highest_wave_number(cell: Cell) -> float:
@@ -109,39 +108,32 @@ BANDWIDTH = 2.0
 √((4−2H)/(2−2H)): 1.6 for H = .3, 2.4 for H = .8."""
 
 
-def lowpass_areas(
-    problem: ContactProblem, cutoffs: list[tuple[int, float]], solve: Solve, start: np.ndarray
-) -> np.ndarray:
+def lowpass_areas(contact: Contact, cutoffs: np.ndarray) -> np.ndarray:
     """Relative contact area, of the pixels and inside the line, without modes |q| > each cutoff: (cutoffs, 2), NaN
-    where the contact cannot be solved.  Collective.
-
-    cutoffs: by how much the grid is coarsened, a power of 2, and the cutoff in radians per length
-    start: a pressure (nx_local, ny) from which contacts on the full grid start; a contact on a coarser grid starts from
-    the previous one on that grid
+    where the surface cannot be solved.  Contacts on the full grid start from the given one.  Collective.
     """
-    areas, by_factor = np.empty((len(cutoffs), 2)), dict[int, list[int]]()
-    for index, (factor, _) in enumerate(cutoffs):
-        by_factor.setdefault(factor, []).append(index)
-    for factor, indices in sorted(by_factor.items()):
-        highest = [cutoffs[index][1] for index in indices]
+    problem, solve, areas = contact.problem, contact.surface.solve, np.empty((len(cutoffs), 2))
+    factors = np.array([coarsening(contact.surface.cell, q) for q in cutoffs])
+    for factor in np.unique(factors):
+        chosen = factors == factor
         if factor == 1:
-            areas[indices] = _areas(problem, highest, solve, start)
-            continue
-        coarse = SubGrid.coarse(problem.grid, factor)
-        heights = restrict(problem.grid, coarse, problem.heights)
-        areas[indices] = coarse.on_all(partial(_on_grid, problem, heights, highest, solve))
-        coarse.free()
+            areas[chosen] = _areas(problem, cutoffs[chosen], solve, contact.pressure)
+        else:
+            areas[chosen] = _on_coarser(problem, cutoffs[chosen], solve, int(factor))
     return areas
 
 
-def _on_grid(
-    problem: ContactProblem, heights: np.ndarray, cutoffs: list[float], solve: Solve, grid: SlabGrid
-) -> np.ndarray:
-    return _areas(problem.on(grid, heights), cutoffs, solve)
+def _on_coarser(problem: ContactProblem, cutoffs: np.ndarray, solve: Solve, factor: int) -> np.ndarray:
+    """Those of the grid that is coarsened by `factor`, a power of 2.  Collective."""
+    coarse = SubGrid.coarse(problem.grid, factor)
+    heights = restrict(problem.grid, coarse, problem.heights)
+    areas = coarse.on_all(lambda grid: _areas(problem.on(grid, heights), cutoffs, solve))
+    coarse.free()
+    return areas
 
 
 def _areas(
-    problem: ContactProblem, cutoffs: list[float], solve: Solve, start: np.ndarray | None = None
+    problem: ContactProblem, cutoffs: np.ndarray, solve: Solve, start: np.ndarray | None = None
 ) -> np.ndarray:
     """Those of one grid, (cutoffs, 2); each contact starts from `start`, else from the one before.  Collective."""
     grid, areas, before = problem.grid, np.ones((len(cutoffs), 2)), start
