@@ -124,7 +124,7 @@ def test_bars_of_unresolved_roughness_follow_pressures_at_edges(comm):
     grid = SlabGrid(comm, (40, 32))
     problem = ContactProblem(grid, self_affine(grid, 0.5, 1.5, 0.1, 3), elastic(1.0), HardWall(), 0.02)
     contact = Contact.of(RoughSurface(problem), solve_hard_wall(problem, 1e-9))
-    found = band_errors(contact, contact.area, contact.mean_square_pressure)
+    found = band_errors(contact)
     p = grid.fetch(contact.pressure, 0, 40)
     others = [np.roll(p, shift, axis) for axis in (0, 1) for shift in (1, -1)]
     energy = sum(np.sum(p[other == 0] ** 2) for other in others) / (np.pi / 2) / p.size  # K(π) = π E'/2

@@ -32,7 +32,7 @@ from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.transfer import SubGrid, restrict, restrict_locally
 from pgfmd.grid.transforms import source
 from pgfmd.observables.contact import Contact
-from pgfmd.observables.contact_area import Area, ContactLine, contact_line
+from pgfmd.observables.contact_area import ContactLine, contact_line
 from pgfmd.observables.observable import Observable
 from pgfmd.observables.schema import Dataset, Groups
 from pgfmd.physics.problem import ContactProblem
@@ -68,8 +68,7 @@ class Discretisation(Observable):
 
     def measure(self, contact: Contact) -> Groups:
         """Solves the contacts to compare with.  Collective."""
-        problem, area, square = contact.problem, contact.area, contact.mean_square_pressure
-        smooth = contact.surface.is_smooth
+        problem, area, smooth = contact.problem, contact.area, contact.surface.is_smooth
         line = contact.line if smooth else None
         count = max(1, min(MODES, (contact.grid.shape[0] + 1) // 4 - 1))
         fine = long_waves(problem, contact, line, count)
@@ -82,8 +81,8 @@ class Discretisation(Observable):
         fields = residual(problem, contact) if problem.law.reach == 0 and contact.mean_pressure > 0 else ()
         found = on_half_grid(problem, contact.surface.solve, compare, fields) if smooth or fields else None
         waves, shift = found or (None, math.nan)
-        errors = grid_errors(fine, waves, line) if smooth else band_errors(contact, area, square)
-        others = solver_errors(problem, contact, area, (contact.likely_pressure_error, square), shift)
+        errors = grid_errors(fine, waves, line) if smooth else band_errors(contact)
+        others = solver_errors(contact, shift)
         both = {name: math.hypot(error, others[name]) for name, error in errors.items()}
         per_area = contact.kappa / (area.fraction or math.nan)
         numbers = {
@@ -92,7 +91,7 @@ class Discretisation(Observable):
             "kappa_error": per_area * (abs(area.fraction - area.corrected) + contact.area_error),
             "mean_gap_error": both["mean_gap"],
             "elastic_energy_error": both["elastic_energy"],
-            "mean_square_pressure": square,
+            "mean_square_pressure": contact.mean_square_pressure,
             "mean_square_pressure_error": both["mean_square_pressure"],
         }
         return {"discretisation": {name: np.array(value) for name, value in numbers.items()}}
@@ -118,12 +117,9 @@ SOLVER = {"perimeter": 2.2, "energy": 0.32, "mean_square_pressure": 0.21}
 Waves = dict[str, np.ndarray]  # of `long_waves`
 
 
-def band_errors(contact: Contact, area: Area, square: float) -> dict[str, float]:
-    """Estimated errors by the grid of the numbers of FACTORS where it does not resolve the surface.  Collective.
-
-    square: ⟨p²⟩
-    """
-    grid, pressure, roughness = contact.grid, contact.pressure, contact.surface.roughness
+def band_errors(contact: Contact) -> dict[str, float]:
+    """Estimated errors by the grid of the numbers of FACTORS where it does not resolve the surface.  Collective."""
+    grid, pressure, area, square = contact.grid, contact.pressure, contact.area, contact.mean_square_pressure
     above = grid.fetch(pressure, grid.rows.start - 1, grid.rows.start)
 
     def at_edges(first: int, stop: int) -> float:
@@ -143,7 +139,7 @@ def band_errors(contact: Contact, area: Area, square: float) -> dict[str, float]
         "perimeter": area.perimeter / math.prod(grid.lengths),
         "mean_gap": energy / (contact.mean_pressure or math.nan),
         "elastic_energy": energy,
-        "mean_square_pressure": (roughness * area.edges / max(area.pixels, 1)) ** 1.5 * square,
+        "mean_square_pressure": (contact.surface.roughness * area.edges / max(area.pixels, 1)) ** 1.5 * square,
     }
     return {name: BAND[name] * scale for name, scale in scales.items()}
 
@@ -180,25 +176,20 @@ def level_shift(
     return shift / weight if weight > 0 else math.nan
 
 
-def solver_errors(
-    problem: ContactProblem, solution: ContactSolution, area: Area, relative: tuple[float, float], shift: float
-) -> dict[str, float]:
-    """Estimated errors by the solver of the numbers of FACTORS.
-
-    relative: η and ⟨p²⟩; shift: error of the level, NaN if not known
-    """
-    (pressure_error, square), grid, energy = relative, problem.grid, solution.elastic_energy
-    bound, mean = 2 * energy * solution.certified_error, solution.mean_pressure
-    soft = problem.law.range_at(mean) * mean if mean > 0 else 0.0
+def solver_errors(contact: Contact, shift: float) -> dict[str, float]:
+    """Estimated errors by the solver of the numbers of FACTORS; shift: error of the level, NaN if not known."""
+    grid, energy, mean = contact.grid, contact.elastic_energy, contact.mean_pressure
+    bound, relative = 2 * energy * contact.certified_error, contact.likely_pressure_error
+    soft = contact.problem.law.range_at(mean) * mean if mean > 0 else 0.0
     work = SOLVER["energy"] * (2 * math.sqrt(bound) * math.sqrt(energy + soft / 2) + bound)
     if not math.isnan(shift):
         work = LEVEL * abs(shift) * mean
-    edges = math.sqrt(pressure_error * area.edges * grid.pixel_area) / math.prod(grid.lengths)
+    edges = math.sqrt(relative * contact.area.edges * grid.pixel_area) / math.prod(grid.lengths)
     return {
         "perimeter": SOLVER["perimeter"] * edges,
         "mean_gap": work / (mean or math.nan),
         "elastic_energy": work,
-        "mean_square_pressure": SOLVER["mean_square_pressure"] * 2 * pressure_error * square,
+        "mean_square_pressure": SOLVER["mean_square_pressure"] * 2 * relative * contact.mean_square_pressure,
     }
 
 
