@@ -23,7 +23,7 @@ from functools import cached_property
 import numpy as np
 
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.observables.contact_line import EdgeTable, Lookup, Tables, edge_tables, hardening, lines_of_pixels
+from pgfmd.observables.contact_line import EdgeTable, Tables, edge_tables, hardening, locate
 from pgfmd.observables.patch_table import Labels
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.solid import Solid
@@ -53,17 +53,11 @@ class ContactLine:
     solid: Solid
     tables: tuple[EdgeTable, EdgeTable]  # for pairs along x, along y
     bound: float = LARGEST_RATIO
-    _of_rows: np.ndarray | None = field(default=None, init=False)  # sums of `lines_of_pixels`, (nx_local, 4)
+    _of_rows: np.ndarray | None = field(default=None, init=False)  # sums of `of_pixels`, (nx_local, 4)
 
     @cached_property
-    def _lookup(self) -> Lookup:
-        """What `lines_of_pixels` needs in addition to the fields."""
-        ax, ay = self.grid.spacing
-        along_x, along_y = self.tables
-        tables = Tables((along_x.values, along_y.values), self.is_thin)
-        scales = [(table.scale or 1.0) / step for table, step in zip(self.tables, (ax, ay), strict=True)]
-        scale, ratios = self.solid.surface_modulus * np.array(scales), np.array([ay / ax, ax / ay])
-        return scale, ratios, tables, self.bound, self.grid.domain
+    def _lookup(self) -> Tables:
+        return Tables((self.tables[0].values, self.tables[1].values), self.is_thin)
 
     @property
     def is_thin(self) -> bool:
@@ -76,19 +70,57 @@ class ContactLine:
         return max(1, min(4 * self.grid.band, self.grid.local_shape[0] // 32))
 
     def _finish(self, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(area beyond that of the pixels, perimeter) from sums (…, 4) of `lines_of_pixels`."""
+        """(area beyond that of the pixels, perimeter) from sums (…, 4) of `of_pixels`."""
         ax, ay = self.grid.spacing
         offset, length_x, length_y, corners = np.moveaxis(sums, -1, 0)
         table = self.tables[0]
         curved = math.pi / 32 * (ax**2 + ay**2) + table.square * ax**2 / 2
         return offset * (ax * ay) + curved * corners, length_x * ay + length_y * ax - table.shift * ax * corners
 
+    def of_pixels(self, first: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
+        """Contact pixels i·ny + j of rows first ≤ i < stop that have an open neighbour, and what the line adds at each
+        (4, pixels): area in pixels beyond the pixel itself, Σ cos θ over its open neighbours along x, the same along y,
+        corners.  Each cosine is a length in spacings across the pair.
+
+        corners: a quarter for each convex corner of the contact's outline, minus a quarter for each concave one; their
+        sum over a patch is the number of its outer outlines less that of its holes.
+        """
+        domain, (ax, ay) = self.grid.domain, self.grid.spacing  # at a border of no period, a pixel is its own neighbour
+        stiffness = self.solid.surface_modulus * np.array([self.tables[0].scale or 1.0, self.tables[1].scale or 1.0])
+        scales, ratios = stiffness / (ax, ay), np.array([ay / ax, ax / ay])
+        pressure, gap = (_with_margin(*each, first, stop) for each in zip(self.fields[:2], self.fields[2], strict=True))
+        inside, ny = pressure > 0, pressure.shape[1]
+        here, closed = inside[2:-2], inside[1:-3] & inside[2:-2] & inside[3:-1]
+        left, right = (domain.indices(np.arange(ny) + shift, ny) for shift in (-1, 1))
+        pixel = np.flatnonzero(here & ~(closed & closed[:, left] & closed[:, right]))
+        i, j = np.divmod(pixel, ny)
+        columns = [domain.indices(j + shift, ny) for shift in range(-2, 3)]
+        sides = np.array([(-1, 0), (1, 0), (0, -1), (0, 1)])
+        opened = [np.flatnonzero(~inside[i + 2 + di, columns[2 + dj]]) for di, dj in sides]
+        pairs, side = np.concatenate(opened), np.repeat(np.arange(4), [len(pairs) for pairs in opened])
+        along_y, row, column, (di, dj) = side // 2, i[pairs] + 2, j[pairs], sides[side].T
+        around, found = np.empty((8, len(pairs))), np.zeros((4, len(pixel)))
+        for k in range(8):
+            along, across = (k - 1, 0) if k < 4 else ((k - 4) // 2, 2 * (k % 2) - 1)
+            at = (row + along * di + across * dj) * ny + domain.indices(column + along * dj + across * di, ny)
+            p = pressure.take(at)
+            around[k] = np.where(p > 0, p, -scales[along_y] * np.maximum(gap.take(at), 0.0))
+        offset, cosine = locate(around, along_y, ratios[along_y], self._lookup, self.bound)
+        np.add.at(found[0], pairs, offset)
+        np.add.at(found[1:3], (along_y, pairs), cosine)
+        for di in (-1, 1):
+            one = inside[i + 2 + di, j]
+            for dj in (-1, 1):
+                other, across_both = inside[i + 2, columns[2 + dj]], inside[i + 2 + di, columns[2 + dj]]
+                found[3] += np.where((one == other) & ~across_both, np.where(one, -0.25, 0.25), 0.0)
+        return first * ny + pixel, found
+
     def _sums(self) -> np.ndarray:
         if self._of_rows is None:
             sums, ny = np.zeros((self.grid.local_shape[0], 4)), self.grid.shape[1]
 
             def part(_: int, first: int, stop: int) -> None:
-                pixel, found = lines_of_pixels(self.fields, self._lookup, first, stop)
+                pixel, found = self.of_pixels(first, stop)
                 _add(sums, pixel // ny, found)
 
             self.grid.threads.share(part, len(sums), self._band)
@@ -110,12 +142,21 @@ class ContactLine:
         sums, of_rows = np.zeros((labels.kept + len(labels.foreign), 4)), np.zeros((rows, 4))
         run_starts = np.repeat(np.arange(-1, rows) * ny, np.diff(labels.first)) + labels.runs[:, 0]
         for first in range(0, rows, self._band):
-            pixel, found = lines_of_pixels(self.fields, self._lookup, first, min(first + self._band, rows))
+            pixel, found = self.of_pixels(first, min(first + self._band, rows))
             _add(of_rows, pixel // ny, found)
             _add(sums, patch[np.searchsorted(run_starts, pixel, side="right") - 1], found)
         self._of_rows = of_rows
         np.add.at(sums, labels.returned, labels.to_keepers(sums[labels.kept :]))
         return self._finish(sums[: labels.kept])
+
+
+def _with_margin(field: np.ndarray, more: np.ndarray, first: int, stop: int) -> np.ndarray:
+    """Rows first − 2 … stop + 1 of a slab; more (4, ny): the two before it and the two after."""
+    rows, low, high = len(field), first - 2, stop + 2
+    if low >= 0 and high <= rows:
+        return field[low:high]
+    parts = more[2 + min(low, 0) : 2], field[max(low, 0) : min(high, rows)], more[2 : 2 + max(high - rows, 0)]
+    return np.concatenate(parts)
 
 
 def _add(sums: np.ndarray, which: np.ndarray, found: np.ndarray) -> None:

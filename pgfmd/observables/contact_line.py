@@ -18,15 +18,12 @@ from functools import cache
 
 import numpy as np
 
-from pgfmd.grid.domain import Domain
 from pgfmd.physics.solids.solid import Solid
 from pgfmd.theory.lattice_edge import LONG, LatticeEdge, Stiffness, lattice_edge
 
 OFFSET, COSINE, PLACE, INNER, OUTER = range(5)  # last axis of a table, see `EdgeTable`
 _ROUNDS = 8  # of `locate`, at most; more of them change the area that the line adds by .1 % where λ_s = 4a
 _LARGEST = 1e6  # of pressures and gaps over those of a pair, which may vanish both: keeps squares finite
-
-Fields = tuple[np.ndarray, np.ndarray, np.ndarray]  # pressure, gap (nx_local, ny); two more rows each way (2, 4, ny)
 
 
 def _distance(relative: np.ndarray) -> np.ndarray:
@@ -119,58 +116,6 @@ def locate(
             break
     offset, cosine = tables.look((OFFSET, COSINE), rows, share)
     return offset, cosine
-
-
-Lookup = tuple[np.ndarray, np.ndarray, Tables, float, Domain]  # see `lines_of_pixels`
-
-
-def lines_of_pixels(fields: Fields, lookup: Lookup, first: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
-    """Contact pixels i·ny + j of rows first ≤ i < stop that have an open neighbour, and what the line adds at each
-    (4, pixels): area in pixels beyond the pixel itself, Σ cos θ over its open neighbours along x, the same along y,
-    corners.  Each cosine is a length in spacings across the pair.
-
-    fields: pressure, gap (nx_local, ny) and their two more rows before and after the slab (2, 4, ny)
-    lookup: (k, spacing across the pair over that along it), each for pairs along x and along y; their tables;
-    `bound` of `locate`; the domain: at a border where fields do not wrap, a pixel is its own neighbour
-    corners: a quarter for each convex corner of the contact's outline, minus a quarter for each concave one; their sum
-    over a patch is the number of its outer outlines less that of its holes.
-    """
-    scales, ratios, tables, bound, domain = lookup
-    pressure, gap = (_with_margin(field, more, first, stop) for field, more in zip(fields[:2], fields[2], strict=True))
-    inside, ny = pressure > 0, pressure.shape[1]
-    here, closed = inside[2:-2], inside[1:-3] & inside[2:-2] & inside[3:-1]
-    left, right = (domain.indices(np.arange(ny) + shift, ny) for shift in (-1, 1))
-    pixel = np.flatnonzero(here & ~(closed & closed[:, left] & closed[:, right]))
-    i, j = np.divmod(pixel, ny)
-    columns = [domain.indices(j + shift, ny) for shift in range(-2, 3)]
-    sides = np.array([(-1, 0), (1, 0), (0, -1), (0, 1)])
-    opened = [np.flatnonzero(~inside[i + 2 + di, columns[2 + dj]]) for di, dj in sides]
-    pairs, side = np.concatenate(opened), np.repeat(np.arange(4), [len(pairs) for pairs in opened])
-    along_y, row, column, (di, dj) = side // 2, i[pairs] + 2, j[pairs], sides[side].T
-    around, found = np.empty((8, len(pairs))), np.zeros((4, len(pixel)))
-    for k in range(8):
-        along, across = (k - 1, 0) if k < 4 else ((k - 4) // 2, 2 * (k % 2) - 1)
-        at = (row + along * di + across * dj) * ny + domain.indices(column + along * dj + across * di, ny)
-        p = pressure.take(at)
-        around[k] = np.where(p > 0, p, -scales[along_y] * np.maximum(gap.take(at), 0.0))
-    offset, cosine = locate(around, along_y, ratios[along_y], tables, bound)
-    np.add.at(found[0], pairs, offset)
-    np.add.at(found[1:3], (along_y, pairs), cosine)
-    for di in (-1, 1):
-        one = inside[i + 2 + di, j]
-        for dj in (-1, 1):
-            other, across_both = inside[i + 2, columns[2 + dj]], inside[i + 2 + di, columns[2 + dj]]
-            found[3] += np.where((one == other) & ~across_both, np.where(one, -0.25, 0.25), 0.0)
-    return first * ny + pixel, found
-
-
-def _with_margin(field: np.ndarray, more: np.ndarray, first: int, stop: int) -> np.ndarray:
-    """Rows first − 2 … stop + 1 of a slab; more (4, ny): the two before it and the two after."""
-    rows, low, high = len(field), first - 2, stop + 2
-    if low >= 0 and high <= rows:
-        return field[low:high]
-    parts = more[2 + min(low, 0) : 2], field[max(low, 0) : min(high, rows)], more[2 : 2 + max(high - rows, 0)]
-    return np.concatenate(parts)
 
 
 POINTS = 65  # of the table in each direction; 257 change the area that the line adds by .03 %, the perimeter by 4e-5
