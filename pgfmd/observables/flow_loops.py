@@ -8,8 +8,6 @@ import numpy as np
 from pgfmd.observables.flow_graph import ACROSS_X, ACROSS_Y, BORDER_BELOW, Graph
 from pgfmd.parallel.compiled import compiled
 
-SMALLEST = 1e-300  # smaller diagonals are not inverted
-
 
 @compiled()
 def residual(graph: Graph, target: np.ndarray, x: np.ndarray, aggregate: np.ndarray, out: np.ndarray) -> None:
@@ -53,16 +51,6 @@ def residual_in_slab(graph: Graph, target: np.ndarray, x: np.ndarray, aggregate:
                     out[aggregate[begin + j]] += line[j]
         else:
             out[begin : begin + ny] = line
-
-
-@compiled()
-def inverse_diagonal(graph: Graph) -> np.ndarray:
-    """The inverse of the sum of each point's T in compressed rows; 0 if the sum is at most `SMALLEST`."""
-    out = np.zeros(max(len(graph.first) - 1, 0))
-    for i in range(len(out)):
-        diagonal = graph.weight[graph.first[i] : graph.first[i + 1]].sum()
-        out[i] = 1 / diagonal if diagonal > SMALLEST else 0.0
-    return out
 
 
 @compiled()
@@ -146,15 +134,6 @@ def prolong(coarse: np.ndarray, aggregate: np.ndarray, n: int, out: np.ndarray) 
     for i in range(n):
         if aggregate[i] >= 0:
             out[i] += coarse[aggregate[i]]
-
-
-@compiled()
-def scaled_square(inverse: np.ndarray, r: np.ndarray) -> float:
-    """Σ r²/diagonal of a graph in compressed rows."""
-    total = 0.0
-    for i in range(len(inverse)):
-        total += r[i] * inverse[i] * r[i]
-    return total
 
 
 @compiled()

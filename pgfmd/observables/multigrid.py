@@ -21,14 +21,12 @@ from pgfmd.observables.flow_graph import Flux, Graph, match
 from pgfmd.observables.flow_loops import (
     add_scaled,
     form_in_slab,
-    inverse_diagonal,
     prolong,
     relax,
     relax_in_slab,
     residual,
     residual_in_slab,
     restrict,
-    scaled_square,
 )
 from pgfmd.parallel.mpi import MPI
 
@@ -42,6 +40,7 @@ INNER, INNER_CUT = 4, 0.25  # most steps on a coarse level, and the factor by wh
 LONGEST = 1e6  # step along a direction: 3e2 where conductances are 1e8 apart.  Rounding in r does not sum up to 0, and
 # along the constant in it, which has no energy but rounding, steps were 1e14 to 1e28
 PART = 1 << 16  # entries of a sum at a time
+SMALLEST = 1e-300  # smaller diagonals are not inverted
 NOTHING = np.empty(0)  # in place of a target of 0
 NOWHERE = np.empty(0, np.int32)  # in place of aggregates: values are stored point by point
 
@@ -97,7 +96,10 @@ class Level:
         self.copies = sum(halo.copies) if halo else 0
         self.coarse: Level | None = None
         self.elimination: Elimination | None = None
-        self.aggregate, self.inverse = NOWHERE, inverse_diagonal(graph)
+        self.aggregate, self.inverse = NOWHERE, NOTHING
+        if len(graph.first):
+            diagonal = flow_graph.summed_diagonals(graph, NOWHERE, graph.points)
+            self.inverse = np.divide(1, diagonal, out=np.zeros(graph.points), where=diagonal > SMALLEST)
         if halo is not None and depth == IN_SLABS:
             self._gather(halo)
         elif halo is not None:
@@ -245,7 +247,7 @@ class Level:
         x, r, last = self.new(), target, None
         goal = 0.0
         for k in range(INNER):
-            square = self.sum(scaled_square(self.inverse, r))
+            square = self.sum(float((r[: self.graph.points] * self.inverse) @ r[: self.graph.points]))
             goal = goal or INNER_CUT**2 * square
             if square <= goal and k or square == 0:
                 break
