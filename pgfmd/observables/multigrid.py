@@ -10,6 +10,7 @@ Preconditioned residuals and directions in slabs are in single precision, which 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -102,18 +103,15 @@ class Level:
             self.inverse = np.divide(1, diagonal, out=np.zeros(graph.points), where=diagonal > SMALLEST)
         if halo is not None and depth == IN_SLABS:
             self._gather(halo)
-        elif halo is not None:
-            self._coarsen(halo)
-        else:
+            return
+        if halo is None:
             self.elimination = eliminated(graph, MANY)
-            if len(self.elimination.order) < graph.points:
-                self.elimination = None
-                self._coarsen(halo)
-
-    def _coarsen(self, halo: Halo | None) -> None:
-        self.coarse = Level(*self._aggregated(halo), self.depth + 1)
-        if halo is not None and len(self.graph.first):  # only levels of rank 0, which make the start, need it later
-            self.graph = self.graph._replace(border=np.empty(0, np.int8))
+            if len(self.elimination.order) == graph.points:
+                return
+            self.elimination = None
+        self.coarse = Level(*self._aggregated(halo), depth + 1)
+        if halo is not None and len(graph.first):  # only levels of rank 0, which make the start, need it later
+            self.graph = graph._replace(border=np.empty(0, np.int8))
 
     def _aggregated(self, halo: Halo | None) -> tuple[Graph, Halo | None]:
         """Joins points, and returns the graph and the halo of aggregates."""
@@ -125,9 +123,8 @@ class Level:
             for rule in (diagonals, NOTHING):
                 if halo is None and count > SLOW * graph.points:
                     found, count = match(graph, sizes, rule, self.graph.points, True)
-            wholes = np.zeros(count, np.int32)
-            restrict(sizes, found, graph.points, wholes)
-            sizes = wholes
+            sizes, parts = np.zeros(count, np.int32), sizes
+            restrict(parts, found, graph.points, sizes)
             if halo is not None:
                 found = np.concatenate([found, np.empty(sum(halo.copies), np.int32)])
                 halo = halo.coarse(found, count)
@@ -156,18 +153,18 @@ class Level:
         self.faces = np.array(comm.allgather(len(other)))
         self.root = Level(whole, None) if comm.rank == 0 else None
 
-    def to_root(self, values: np.ndarray, counts: np.ndarray) -> np.ndarray:
-        """One vector of those of all ranks, on rank 0; empty elsewhere.  Collective."""
+    def on_root(
+        self, values: np.ndarray, work: Callable[[Level, np.ndarray], np.ndarray], counts: np.ndarray
+    ) -> np.ndarray:
+        """This rank's part of what `work` makes on the level of rank 0 of the values on own points of all ranks.
+        counts: numbers of each rank in that.  Collective.
+        """
         assert self.halo is not None
         comm = self.halo.comm
-        whole = np.empty(counts.sum() if comm.rank == 0 else 0)
-        comm.Gatherv(np.ascontiguousarray(values), [whole, counts])
-        return whole
-
-    def from_root(self, whole: np.ndarray, counts: np.ndarray) -> np.ndarray:
-        """This rank's part of a vector of rank 0.  Collective."""
-        assert self.halo is not None
-        comm = self.halo.comm
+        whole = np.empty(self.counts.sum() if comm.rank == 0 else 0)
+        comm.Gatherv(np.ascontiguousarray(values[: self.graph.points]), [whole, self.counts])
+        if self.root is not None:
+            whole = work(self.root, whole)
         part = np.empty(counts[comm.rank])
         comm.Scatterv([whole, counts], part)
         return part
@@ -208,8 +205,10 @@ class Level:
 
     def cycle(self, target: np.ndarray) -> np.ndarray:
         """z ≈ A⁻¹ target: a symmetric preconditioner, but for inner steps.  Collective."""
+        if self.elimination is not None:
+            return solve_eliminated(self.elimination, target.copy())
         if self.coarse is None:  # where no point has a neighbour, nothing is left there
-            return self.gathered_solution(target) if self.elimination is None else self.exact(target)
+            return self.new(self.on_root(target, Level.solved, self.counts))
         z = self.new(dtype=np.float32 if self.halo else float)
         self.sweep(target, z, False)
         coarse = self.rest(target, z, self.coarse.new(), self.aggregate)
@@ -225,18 +224,6 @@ class Level:
             relax(self.graph, self.inverse, target, x, backward)
         else:
             relax_in_slab(self.graph, target, x, backward)
-
-    def exact(self, target: np.ndarray) -> np.ndarray:
-        """A⁻¹ target on the coarsest level."""
-        assert self.elimination is not None
-        return solve_eliminated(self.elimination, target.copy())
-
-    def gathered_solution(self, target: np.ndarray) -> np.ndarray:
-        """The solution of rank 0 for the target of all ranks, which lies on one of its levels.  Collective."""
-        whole = self.to_root(target[: self.graph.points], self.counts)
-        if self.root is not None:
-            whole = self.root.solved(whole)
-        return self.new(self.from_root(whole, self.counts))
 
     def solved(self, target: np.ndarray) -> np.ndarray:
         """About A⁻¹ target: a few steps of flexible conjugate gradients; on the coarsest level exact.  The target is
@@ -258,16 +245,12 @@ class Level:
 
     def start(self, b: np.ndarray, kind: int) -> np.ndarray:
         """A good start for Au = b.  Collective."""
-        count = self.graph.points
         if self.coarse is not None and self.halo is not None:
             return self.prolonged(self.coarse.start(self.restricted(b), kind), self.new())
         if self.halo is not None:
-            whole = self.to_root(b[:count], self.counts)
-            if self.root is not None:
-                whole = self.root.start(whole, kind)
-            return self.new(self.from_root(whole, self.counts))
+            return self.new(self.on_root(b, lambda root, whole: root.start(whole, kind), self.counts))
         last: Level = self
-        largest: np.ndarray = np.arange(count, dtype=np.int32)
+        largest: np.ndarray = np.arange(self.graph.points, dtype=np.int32)
         while last.coarse is not None:
             largest, last = last.aggregate[largest], last.coarse
         x = flow_graph.unrolled(self.graph, largest, kind)
@@ -314,12 +297,9 @@ class Level:
         """
         graph, values, potential, aggregates, total = self.graph, NOTHING, NOTHING, self.graph, 0.0
         if self.elimination is not None:
-            values = flow_graph.potential_flux(graph, self.exact(r))
+            values = flow_graph.potential_flux(graph, self.cycle(r))
         elif self.coarse is None and self.halo is not None:
-            whole = self.to_root(r[: graph.points], self.counts)
-            if self.root is not None:
-                whole = self.root.fluxes(whole)[0].values
-            values = self.from_root(whole, self.faces)
+            values = self.on_root(r, lambda root, whole: root.fluxes(whole)[0].values, self.faces)
         elif self.coarse is not None:
             above, _ = self.coarse.fluxes(self.restricted(r))
             if self.halo is not None and self.depth == 1:
