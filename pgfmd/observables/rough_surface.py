@@ -34,9 +34,8 @@ class Correlations:
     """Second-order statistics of one field f; the same on all ranks.  f̃(q) = (1/N) Σ_r f(r) exp(−iq·r)."""
 
     power: np.ndarray  # Σ |f̃|² over the modes below the first edge (q = 0 too), in each bin, beyond: (m + 2,)
-    acf: np.ndarray | None = None  # Σ C(Δr) over the points of each bin of lags: (k + 2,)
-    acf_x: np.ndarray | None = None  # C(Δx, 0): (nx//2 + 1,)
-    acf_y: np.ndarray | None = None  # C(0, Δy): (ny//2 + 1,)
+    acf: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+    """Σ C(Δr) over the points of each bin of lags (k + 2,); C(Δx, 0) (nx//2 + 1,); C(0, Δy) (ny//2 + 1,)."""
 
 
 class Rings:
@@ -143,9 +142,8 @@ def correlate(
     (nx, ny), counts = grid.shape, np.diff(grid.starts)
     along_x = np.empty(nx)
     grid.comm.Allgatherv(column, [along_x, counts])
-    return Correlations(
-        modes.total(power) / square_size, lags.total(sums), along_x[: nx // 2 + 1], row[: ny // 2 + 1]
-    )  # fmt: skip
+    acf = lags.total(sums), along_x[: nx // 2 + 1], row[: ny // 2 + 1]
+    return Correlations(modes.total(power) / square_size, acf)
 
 
 def along_axis(grid: SlabGrid, values: np.ndarray, axis: int) -> dict[str, np.ndarray]:
@@ -219,9 +217,7 @@ class RoughSurface:
         acf = self.asked.get("acf")
         self.lags = lag_rings(self.grid, acf.edges(self.cell)) if acf else None
         self.full_contact = np.zeros(0)  # Σ |K h̃|² in each bin, K the stiffness, where spectra are asked for
-        self._slopes, self._correlations = self._measure(
-            self.grid.domain.wraps and bool(self.asked.keys() & {"spectra", "acf"})
-        )
+        self._slopes, self._correlations = self._measure()
 
     def solve(self, problem: ContactProblem, **options: Any) -> ContactSolution | None:
         """A further contact; None, with a warning in the log, if it cannot be solved.  Collective."""
@@ -247,7 +243,7 @@ class RoughSurface:
         """Spectrum, and autocorrelation if one is asked for, of the field whose rows `fill` makes.  Collective."""
         return correlate(self.grid, fill, self.modes, self.lags, watch)
 
-    def _measure(self, correlated: bool) -> tuple[tuple[float, float, float], Correlations | None]:
+    def _measure(self) -> tuple[tuple[float, float, float], Correlations | None]:
         """√Σ q²|h̃|², √(Σ q⁴|h̃|² / Σ q²|h̃|²) and the share of Σ q²|h̃|² beyond RESOLVED; and in the same pass the
         correlations, if they will be needed.  Collective.
         """
@@ -256,8 +252,8 @@ class RoughSurface:
         unit = min(grid.spacing)  # of lengths here, so that no power of q overflows
         along, across = (unit * grid.qx[0]) ** 2, (unit * grid.qy[:, 0]) ** 2
         weight = grid.hermitian_weight[:, 0].copy()
-        waves = (grid.qx[0], grid.qy[:, 0])
-        inner_x, inner_y = (np.abs(q) * step <= RESOLVED for q, step in zip(waves, grid.spacing, strict=True))
+        inner_x = np.abs(grid.qx[0]) * grid.spacing[0] <= RESOLVED
+        inner_y = np.abs(grid.qy[:, 0]) * grid.spacing[1] <= RESOLVED
         powers = np.stack([np.ones_like(along), along, along**2, inner_x, inner_x * along], axis=1)
 
         def watch(power: np.ndarray, first: int, stop: int) -> None:
@@ -270,7 +266,7 @@ class RoughSurface:
                 full[first] = self.modes.sums(power * stiffness * stiffness, first, stop)
 
         correlations = None
-        if correlated:
+        if grid.domain.wraps and self.asked.keys() & {"spectra", "acf"}:
             correlations = self.correlate(source(self.heights), watch)
         else:
             fill = source(self.heights) if grid.domain.wraps else self._windowed()
@@ -287,15 +283,14 @@ class RoughSurface:
     def _windowed(self) -> RowAction:
         """The heights without their mean plane, times Hann's window, which vanishes at the border.  Collective."""
         grid, heights = self.grid, self.heights
-        axes = [np.arange(n) + 0.5 for n in grid.shape]
-        hann = [np.sin(np.pi * at / n) ** 2 for at, n in zip(axes, grid.shape, strict=True)]
-        (x, y), (nx, ny) = axes, grid.shape
-        x, y = (2 * x / nx - 1)[grid.rows], 2 * y / ny - 1
+        nx, ny = grid.shape
+        x, y = ((2 * np.arange(n) + 1) / n - 1 for n in (nx, ny))  # from −1 to 1
+        x = x[grid.rows]
+        wx, wy = np.cos(np.pi / 2 * x) ** 2, np.cos(np.pi / 2 * y) ** 2
         squares = [n * (1 - 1 / n**2) / 3 or 1.0 for n in grid.shape]  # Σ x², Σ y²
         rows, columns = heights.sum(axis=1), heights.sum(axis=0)
         mean, along, across = grid.reduction.sums(rows.sum(), rows @ x, columns @ y)
         plane = mean / grid.size, along / (ny * squares[0]), across / (nx * squares[1])
-        wx, wy = hann[0][grid.rows], hann[1]
 
         def fill(first: int, stop: int, out: np.ndarray) -> None:
             out[...] = heights[first:stop] - (plane[0] + plane[1] * x[first:stop, None] + plane[2] * y)
@@ -334,10 +329,11 @@ class RoughSurface:
 
     def acf_groups(self, name: str, found: Correlations) -> Groups:
         """The three groups of an autocorrelation; none if none is asked for."""
-        if self.lags is None or found.acf is None or found.acf_x is None or found.acf_y is None:
+        if self.lags is None or found.acf is None:
             return {}
+        binned, along_x, along_y = found.acf
         return {
-            f"{name}_acf": self.lags.means(found.acf, "r"),
-            f"{name}_acf_x": along_axis(self.grid, found.acf_x, 0),
-            f"{name}_acf_y": along_axis(self.grid, found.acf_y, 1),
+            f"{name}_acf": self.lags.means(binned, "r"),
+            f"{name}_acf_x": along_axis(self.grid, along_x, 0),
+            f"{name}_acf_y": along_axis(self.grid, along_y, 1),
         }
