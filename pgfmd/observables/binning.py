@@ -37,7 +37,7 @@ def bin_edges(
 
     :raises InputError: if `spacing` is neither, or a width, density or limit is not positive.
     """
-    _require_positive(per_decade=per_decade, width=1 if width is None else width, q_max=1 if q_max is None else q_max)
+    _require_positive(per_decade=per_decade, width=width, q_max=q_max)
     lowest = 2 * np.pi / max(lengths)
     highest = 2 * np.pi * math.hypot(*(n // 2 / length for n, length in zip(shape, lengths, strict=True)))
     top = max(highest, lowest) if q_max is None else q_max
@@ -63,7 +63,7 @@ def lag_edges(shape: Sequence[int], lengths: Sequence[float], width: float | Non
 
     :raises InputError: if `width` is not positive.
     """
-    _require_positive(width=1 if width is None else width)
+    _require_positive(width=width)
     spacing = [length / n for n, length in zip(shape, lengths, strict=True)]
     width = max(spacing) if width is None else width
     half = min(lengths) / 2
@@ -104,8 +104,8 @@ def lag_bins(shape: tuple[int, int], lengths: tuple[float, float], spacing: str 
     return np.append(edges[edges < half], half) * (1 + HAIR)
 
 
-def _require_positive(**numbers: float) -> None:
-    """:raises InputError: naming the first of the numbers that is not positive and finite."""
+def _require_positive(**numbers: float | None) -> None:
+    """:raises InputError: naming the first of the given numbers that is not positive and finite."""
     for name, number in numbers.items():
-        if not 0 < number < np.inf:
+        if number is not None and not 0 < number < np.inf:
             raise InputError(f"{name} = {number:g}: must be positive and finite")

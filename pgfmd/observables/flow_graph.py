@@ -189,14 +189,6 @@ def grouped(aggregate: np.ndarray, n: int, count: int) -> tuple[np.ndarray, np.n
 
 
 @compiled()
-def composed(aggregate: np.ndarray, of_aggregate: np.ndarray) -> None:
-    """Replaces each point's aggregate by the aggregate of that."""
-    for i in range(len(aggregate)):
-        if aggregate[i] >= 0:
-            aggregate[i] = of_aggregate[aggregate[i]]
-
-
-@compiled()
 def coarsened(graph: Graph, aggregate: np.ndarray, count: int) -> Graph:
     """The graph of `count` aggregates; aggregate: of own points, then of copies.  T's are summed; a face
     crosses a border if all of those that it stands for do.
@@ -274,16 +266,6 @@ def back_substitute(table: np.ndarray, n: int, x: np.ndarray) -> np.ndarray:
             x[k] += table[k, j] * x[j]
         x[k] = x[k] / table[k, k] if table[k, k] > 0 else 0.0
     return x
-
-
-@compiled()
-def potential_flux(graph: Graph, x: np.ndarray) -> np.ndarray:
-    """f_ij = T_ij (x_i − x_j)."""
-    out = np.empty(len(graph.other))
-    for i in range(len(graph.first) - 1):
-        for k in range(graph.first[i], graph.first[i + 1]):
-            out[k] = graph.weight[k] * (x[i] - x[graph.other[k]])
-    return out
 
 
 @compiled(inline="always")

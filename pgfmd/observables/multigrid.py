@@ -133,7 +133,7 @@ class Level:
                 self.aggregate = found
                 diagonals = flow_graph.summed_diagonals(self.graph, found, count)
             else:
-                flow_graph.composed(self.aggregate, found)
+                self.aggregate = np.append(found, np.int32(-1))[self.aggregate]  # −1, of no aggregate, stays
         return graph, halo
 
     def _gather(self, halo: Halo) -> None:
@@ -297,7 +297,8 @@ class Level:
         """
         graph, values, potential, aggregates, total = self.graph, NOTHING, NOTHING, self.graph, 0.0
         if self.elimination is not None:
-            values = flow_graph.potential_flux(graph, self.cycle(r))
+            x = self.cycle(r)
+            values = graph.weight * (np.repeat(x, np.diff(graph.first)) - x[graph.other])
         elif self.coarse is None and self.halo is not None:
             values = self.on_root(r, lambda root, whole: root.fluxes(whole)[0].values, self.faces)
         elif self.coarse is not None:

@@ -136,9 +136,11 @@ def bottlenecks(grid: SlabGrid, gap: np.ndarray, mask: np.ndarray) -> tuple[Bott
         found = label_patches(comm, value >= threshold, grid.starts, 4)
         count += 1
         for axis, winds in enumerate(percolates(found)):
-            if winds and low[axis] < threshold < high[axis]:
+            if not low[axis] < threshold < high[axis]:
+                continue
+            if winds:
                 low[axis] = threshold
-            elif not winds and low[axis] < threshold < high[axis]:
+            else:
                 high[axis], labels[threshold] = threshold, found
         labels = {key: kept for key, kept in labels.items() if key in high}
         left = grid.reduction.sums(*(float(np.count_nonzero(bracket(axis))) if low[axis] else 0.0 for axis in range(2)))
