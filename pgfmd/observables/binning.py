@@ -80,9 +80,7 @@ def wave_number_bins(
     q_max: float | None = None,
 ) -> np.ndarray:
     """`bin_edges` by the keys of a job: edges (m + 1,) of `bins` bins to a decade ("log"), or of `bins` bins in all, up
-    to the largest |q| or q_max ("linear").
-
-    Raises InputError for another spacing.
+    to the largest |q| or q_max ("linear").  Raises InputError for another spacing.
     """
     if spacing == "linear":
         top = math.hypot(*(2 * np.pi * (n // 2) / length for n, length in zip(shape, lengths, strict=True)))

@@ -110,9 +110,7 @@ class Contact(ContactSolution):
 
     @property
     def contact_area_corrected(self) -> float:
-        """Relative area inside the contact line between pixels; where the grid does not resolve the surface, that of
-        the pixels less their staircase (`numbers["contact_line"]` is then 0).  Collective on first use.
-        """
+        """Relative area inside the contact line; without one, pixels less their staircase.  Collective on first use."""
         return self.numbers["contact_area_corrected"]
 
     @property
@@ -133,9 +131,7 @@ class Contact(ContactSolution):
         return groups
 
     def measure(self) -> dict[str, Mapping[str, np.ndarray]]:
-        """The groups of datasets of all observables that the surface is asked for, complete on rank 0; under "loads"
-        the numbers that they add to the table of loads, on all ranks.  Collective.
-        """
+        """What `observables` returns, of all those that the surface is asked for.  Collective."""
         groups: dict[str, Mapping[str, np.ndarray]] = {}
         columns: dict[str, np.ndarray] = {}
         seconds = self.surface.seconds
@@ -284,10 +280,8 @@ class Contact(ContactSolution):
 
     @cached_property
     def cross_power(self) -> np.ndarray:
-        """Sums of Re h̃* σ̃ over the bins of wave numbers, from |σ̃ + α h̃|² = |σ̃|² + α²|h̃|² + 2α Re h̃* σ̃.  This
-        takes one forward transform and stores no spectrum.
-
-        α makes both fields equally large, so that the difference loses few digits.
+        """Sums of Re h̃* σ̃ over the bins of wave numbers, from |σ̃ + α h̃|² = |σ̃|² + α²|h̃|² + 2α Re h̃* σ̃, where α makes
+        both fields equally large.  One forward transform, and no spectrum is stored.
         """
         stress, height = self.stress.power, self.surface.correlations.power
         alpha = math.sqrt(stress[1:].sum()) / (math.sqrt(height[1:].sum()) or math.inf)
@@ -312,9 +306,7 @@ class Contact(ContactSolution):
         return self._labels[connectivity]
 
     def line_of_patches(self, connectivity: int) -> tuple[np.ndarray, np.ndarray] | None:
-        """Area inside the line less that of the pixels, and length of the line, of each patch that this rank keeps;
-        None without a line.  Computed on the first call.
-        """
+        """Area inside the line less that of the pixels, and its length, of each kept patch; None without a line."""
         if connectivity not in self._lines:
             self._lines[connectivity] = None if self.line is None else self.line.of_patches(self.labels(connectivity))
         return self._lines[connectivity]

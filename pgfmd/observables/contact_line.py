@@ -38,8 +38,8 @@ def _distance(relative: np.ndarray) -> np.ndarray:
 def describe(around: np.ndarray, ratio: np.ndarray | float, linear: bool) -> tuple[np.ndarray, np.ndarray]:
     """(share of the pressure in p + kg at the pair, angle between the pair and the apparent normal, 0 … π/2).
 
-    ratio: spacing across the pair over that along it.  linear: whether pressures and gaps are
-    linear in the distance to the edge, as on a thin slab.
+    ratio: spacing across the pair over that along it.  linear: whether pressures and gaps are linear in the distance to
+    the edge, as on a thin slab.
     """
     scale = around[1] - around[2]
     with np.errstate(over="ignore"):  # of what is clipped
@@ -201,11 +201,9 @@ def edge_tables(spacing: tuple[float, float], solid: Solid, thin: float = THIN) 
 
 
 def hardening(solid: Solid, step: float) -> float:
-    """d ln K/d ln q at the shortest wave of pixels of that side: 1 for a half-space, 0 for a Winkler foundation; 1 for
-    solids whose stiffness K vanishes with q.
-    """
+    """d ln K/d ln q at the shortest wave of pixels of that side: 1 for a half-space, 0 for a Winkler foundation."""
     longest, below, above = per_pixel(solid, step)(np.array([LONG, math.pi / 1.01, math.pi * 1.01]))
-    return math.log(above / below) / (2 * math.log(1.01)) if longest > below / 100 else 1.0
+    return math.log(above / below) / (2 * math.log(1.01)) if longest > below / 100 else 1.0  # K → 0 with q
 
 
 def mean_stiffness(stiffness: Stiffness) -> float:

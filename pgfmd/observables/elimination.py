@@ -16,34 +16,28 @@ FEW = 20  # when a pass eliminates less than one in so many points, those with o
 
 
 class Elimination(NamedTuple):
-    """Points in the order of their elimination (n,); first face of each (n + 1,); the other point, which is eliminated
-    later, and T of each face; the sum of T of each point (n,), 0 for the last one of a component.
-    """
+    """The faces of n points to those that are eliminated later."""
 
-    order: np.ndarray
-    first: np.ndarray
-    other: np.ndarray
-    weight: np.ndarray
-    total: np.ndarray
+    order: np.ndarray  # (n,) of the elimination
+    first: np.ndarray  # (n + 1,) first face of each
+    other: np.ndarray  # the other point of each face
+    weight: np.ndarray  # its T
+    total: np.ndarray  # (n,) sum of T of each point, 0 for the last one of a component
 
 
 class _Lists(NamedTuple):
-    """The faces of points that are left: where the list of a point begins, its length, the room that it has, and the
-    lists' other points and T.
-    """
+    """The faces of the n points that are left: a list for each."""
 
-    begin: np.ndarray
-    size: np.ndarray
-    room: np.ndarray
-    other: np.ndarray
-    weight: np.ndarray
+    begin: np.ndarray  # (n,) where it begins
+    size: np.ndarray  # (n,) its length
+    room: np.ndarray  # (n,) length to which it may grow there
+    other: np.ndarray  # the other point of each face
+    weight: np.ndarray  # its T
 
 
 @compiled()
 def _packed(lists: _Lists, more: int) -> tuple[_Lists, int]:
-    """The lists one after the other, each with room for two more faces, in arrays that are twice as long and have room
-    for `more` faces besides; and where the lists end.
-    """
+    """The lists in a row, each with room for two more faces; and where they end, in the first half of longer arrays."""
     begin, size, room, other, weight = lists
     at, left = 0, np.flatnonzero(size)
     whole = 2 * (size[left].sum() + 2 * len(left)) + more
@@ -86,9 +80,7 @@ def _longer(values: np.ndarray, count: int) -> np.ndarray:
 
 @compiled()
 def eliminated(graph: Graph, many: int) -> Elimination:
-    """The elimination of all points of a graph in compressed rows; an empty one if more than `many` points are left
-    when those with up to `SPARSE` faces are gone.
-    """
+    """The elimination of all points; an empty one if more than `many` have over `SPARSE` faces when others are gone."""
     n = len(graph.first) - 1
     lists, used = _lists(graph)
     begin, size, room, near, t = lists

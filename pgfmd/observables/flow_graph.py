@@ -190,9 +190,7 @@ def grouped(aggregate: np.ndarray, n: int, count: int) -> tuple[np.ndarray, np.n
 
 @compiled()
 def coarsened(graph: Graph, aggregate: np.ndarray, count: int) -> Graph:
-    """The graph of `count` aggregates; aggregate: of own points, then of copies.  T's are summed; a face
-    crosses a border if all of those that it stands for do.
-    """
+    """The graph of aggregates (of own points, then copies): T's add up; a face crosses a border if all its parts do."""
     first, other, weight, border = graph
     n = len(first) - 1 if len(first) else len(border)
     order, begin = grouped(aggregate, n, count)
@@ -255,9 +253,7 @@ def eliminate(table: np.ndarray, n: int) -> None:
 
 @compiled()
 def back_substitute(table: np.ndarray, n: int, x: np.ndarray) -> np.ndarray:
-    """Replaces x by A⁻¹ x, by an elimination of n points, and returns it; the first point of a component, eliminated
-    last, has 0.
-    """
+    """Replaces x by A⁻¹ x, by an elimination of n points, and returns it; 0 at the first point of a component."""
     for k in range(n - 1, -1, -1):
         for i in range(k if table[k, k] > 0 else 0):
             x[i] += table[k, i] / table[k, k] * x[k]

@@ -74,7 +74,7 @@ def pressure_groups(grid: SlabGrid, pressure: np.ndarray, bins: int) -> dict[str
     """Histograms (linear and logarithmic) over contact, moments and Persson's fit of a pressure slab.  Collective.
 
     Densities are normalised to 1 over the contact, p > 0.  Without contact, counts are zero and the rest is NaN.  The
-    fit is made on rank 0 only.  Two passes over the field.
+    fit is made on rank 0 only.
     """
 
     def survey(first: int, stop: int) -> tuple[int, float]:
@@ -107,11 +107,7 @@ def pressure_groups(grid: SlabGrid, pressure: np.ndarray, bins: int) -> dict[str
 
 
 def gap_groups(grid: SlabGrid, gap: np.ndarray, bins: int) -> dict[str, Group]:
-    """Histogram of the gaps of a slab.  Collective.
-
-    Gaps that are exactly zero, those of hard contact, are left out of the bins, but the density is over all points: its
-    integral is 1 − f_c.  Two passes over the field.
-    """
+    """Histogram of the gaps of a slab but those of exactly 0; the density is over all points.  Collective."""
     edges = linear_edges(min(grid.reduction.min(gap), 0.0), max(grid.reduction.max(gap), 0.0), bins)
 
     def part(first: int, stop: int) -> tuple[np.ndarray]:

@@ -226,9 +226,7 @@ class Level:
             relax_in_slab(self.graph, target, x, backward)
 
     def solved(self, target: np.ndarray) -> np.ndarray:
-        """About A⁻¹ target: a few steps of flexible conjugate gradients; on the coarsest level exact.  The target is
-        overwritten.  Collective.
-        """
+        """About A⁻¹ target, by conjugate gradients; exact on the coarsest level.  The target is lost.  Collective."""
         if self.coarse is None:
             return self.cycle(target)
         x, r, last = self.new(), target, None
@@ -261,9 +259,7 @@ class Level:
         return x
 
     def advance(self, x: np.ndarray, r: np.ndarray, z: np.ndarray, last: Step | None) -> Step | None:
-        """One step along z, which is made conjugate to the last one; returns that step, or None if r is but rounding.
-        Collective.
-        """
+        """The step along z, which is made conjugate to the last one; None if r is but rounding.  Collective."""
         lean = len(self.graph.first) == 0
         if last is not None:
             both = self.form(z, last.direction) if lean else -self.dot(z, last.product)

@@ -72,9 +72,7 @@ class Network:
         self.level = Level(graph, Halo(grid.comm, n, list(rows), [ny, ny]))
 
     def solve(self, axis: int, width: float, with_flux: bool = False) -> Flow:
-        """K along x (axis 0) or y (1) to bounds of that relative width, or to what rounding leaves.  Raises SolverError
-        if the iteration does not end.  Collective.
-        """
+        """K to bounds of that relative width, or to rounding.  Raises SolverError if that does not end.  Collective."""
         level, kind = self.level, (flow_graph.ACROSS_X, flow_graph.ACROSS_Y)[axis]
         r, step, moved = level.new(), None, True
         sources(level.graph, kind, r)

@@ -80,10 +80,7 @@ class Labels:
         return out
 
     def to_keepers(self, values: np.ndarray) -> np.ndarray:
-        """Send one row of `values` (foreign patches, …) per foreign patch to the rank that keeps it.  Collective.
-
-        Returns the rows received for the patches `returned`, in this order.
-        """
+        """Send `values` (foreign patches, …) to their keepers; returns those received for `returned`.  Collective."""
         return _exchange(self.comm, values, self.send_counts, self.return_counts)
 
 

@@ -99,13 +99,11 @@ class ClosingLoad(Observable):
 
 
 class Bottleneck(NamedTuple):
-    """The least value on the widest path around the cell, and its point (row, column); 0 and (−1, −1) if no path
-    percolates; number of labellings that both directions took together.
-    """
+    """Where the widest path around the cell is narrowest."""
 
-    value: float
-    point: tuple[int, int]
-    labellings: int
+    value: float  # 0: no path percolates
+    point: tuple[int, int]  # row and column; (−1, −1): no path
+    labellings: int  # that both directions took together
 
 
 def percolates(labels: Labels) -> tuple[bool, bool]:
@@ -158,10 +156,7 @@ def bottlenecks(grid: SlabGrid, gap: np.ndarray, mask: np.ndarray) -> tuple[Bott
 
 
 def _closing(grid: SlabGrid, value: np.ndarray, labels: Labels, bracket: np.ndarray, axis: int) -> Bottleneck:
-    """The point of the bracket whose union with those above it first winds along the axis.  Collective.
-
-    labels: of the points above the bracket.
-    """
+    """The point of the bracket whose union with those above it (`labels`) first winds along the axis.  Collective."""
     (nx, ny), comm = grid.shape, grid.comm
     label = labels.label_field().astype(np.int64)
     shift = np.empty(label.shape, np.int64)
