@@ -238,7 +238,15 @@ def contact_area(
     """
     above = grid.fetch(pressure, grid.rows.start - 1, grid.rows.start)
     left = grid.domain.indices(np.arange(grid.shape[1]) - 1, grid.shape[1])
-    parts = grid.threads.collect(lambda a, b: _count_edges(pressure, above, left, a, b), grid.local_shape[0])
+
+    def count(first: int, stop: int) -> tuple[int, ...]:
+        """Points in contact, and those that differ from the row before, and from the column before."""
+        rows = np.concatenate([above, pressure[:stop]]) if first == 0 else pressure[first - 1 : stop]
+        inside = rows > 0
+        here = inside[1:]
+        return tuple(int(np.count_nonzero(each)) for each in (here, here != inside[:-1], here != here[:, left]))
+
+    parts = grid.threads.collect(count, grid.local_shape[0])
     pixels, edges_x, edges_y = (int(total) for total in grid.reduction.sums(*np.sum(parts, axis=0)))
     ax, ay = grid.spacing
     fraction, edge_length = pixels / grid.size, edges_x * ay + edges_y * ax
@@ -247,15 +255,3 @@ def contact_area(
     if line is None or corrected <= 0:  # a contact of a pixel or two has no line
         corrected, perimeter = fraction - staircase * edge_length / (grid.size * grid.pixel_area), edge_length
     return Area(pixels, edges_x, edges_y, fraction, edge_length, max(corrected, least), perimeter)
-
-
-def _count_edges(pressure: np.ndarray, above: np.ndarray, left: np.ndarray, first: int, stop: int) -> tuple[int, ...]:
-    """(points p > 0, contact/non-contact edges to the row before, and to the column before) of rows first … stop−1.
-
-    `above` (1, ny) is the row before row 0, `left` (ny,) the column before each.
-    """
-    rows = np.concatenate([above, pressure[:stop]]) if first == 0 else pressure[first - 1 : stop]
-    inside = rows > 0
-    here = inside[1:]
-    counts = here, here != inside[:-1], here != here[:, left]
-    return tuple(int(np.count_nonzero(each)) for each in counts)

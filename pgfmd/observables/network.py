@@ -40,20 +40,11 @@ class Flow(NamedTuple):
     iterations: int
 
 
-def slab_graph(grid: SlabGrid, mask: np.ndarray, down: np.ndarray, right: np.ndarray) -> Graph:
-    """The graph of a mask and its conductances to the next row and column, all (nx_local, ny).  Collective."""
-    (around, faces), (nx, ny) = grid.neighbours([mask, down]), mask.shape
-    weight = np.empty((2 * nx + 1, ny), down.dtype)
-    up, to_right = weight[: nx + 1], weight[nx + 1 :]
-    up[0], up[1:], to_right[:] = faces[0], down, right
-    up[:-1] *= mask
-    up[1:] *= mask
-    up[0] *= around[0]
-    up[-1] *= around[1]
-    to_right *= mask
-    to_right[:, :-1] *= mask[:, 1:]
-    to_right[:, -1] *= mask[:, 0]
-    flags = np.zeros(mask.shape, np.int8)
+def slab_graph(grid: SlabGrid, down: np.ndarray, right: np.ndarray) -> Graph:
+    """The graph of conductances to the next row and column (nx_local, ny), 0 without a face.  Collective."""
+    (around,), (nx, ny) = grid.neighbours([down]), down.shape
+    weight = np.concatenate([around[:1], down, right])
+    flags = np.zeros(down.shape, np.int8)
     flags[:, 0] += flow_graph.LEFTMOST
     flags[:, -1] += flow_graph.RIGHTMOST
     flags[0] += flow_graph.BORDER_ABOVE * (grid.rows.start == 0)
@@ -157,7 +148,7 @@ def conductances(grid: SlabGrid, gap: np.ndarray, mask: np.ndarray, unit: float,
     after, (ax, ay) = grid.neighbours([k])[0][1:], grid.spacing
     down, right = np.empty(k.shape, dtype), np.empty(k.shape, dtype)
     harmonic_means(k, after, (ay / ax, ax / ay), (down, right))
-    return slab_graph(grid, mask, down, right)
+    return slab_graph(grid, down, right)
 
 
 @compiled()

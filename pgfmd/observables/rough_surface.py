@@ -22,7 +22,6 @@ from pgfmd.observables.contact_area import RESOLVED
 from pgfmd.observables.observable import OBSERVABLES, Observable, Spectrum
 from pgfmd.observables.schema import Groups
 from pgfmd.parallel.collectives import shared
-from pgfmd.parallel.mpi import MPI
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.options import Solver
@@ -47,7 +46,7 @@ class Rings:
     """
 
     def __init__(self, grid: SlabGrid, along: np.ndarray, across: np.ndarray, weight: np.ndarray, edges: np.ndarray):
-        self.comm, self.along, self.across, self.weight = grid.comm, along, across, np.ascontiguousarray(weight)
+        self.grid, self.along, self.across, self.weight = grid, along, across, np.ascontiguousarray(weight)
         self.edges = np.asarray(edges)
         self._squares = np.sign(edges) * np.square(edges)
         counts, roots = dict[int, np.ndarray](), dict[int, np.ndarray]()
@@ -74,9 +73,7 @@ class Rings:
 
     def total(self, parts: dict[int, np.ndarray]) -> np.ndarray:
         """Sum of the parts over blocks, in the order of their rows, and over the ranks.  Collective."""
-        out = np.sum([np.zeros(len(self.edges) + 1), *(parts[first] for first in sorted(parts))], axis=0)
-        self.comm.Allreduce(MPI.IN_PLACE, out)
-        return out
+        return self.grid.reduction.sums_of_blocks(parts, len(self.edges) + 1)
 
     def means(self, sums: np.ndarray, place: str) -> dict[str, np.ndarray]:
         """Means over the bins that hold something: mean ρ as `place`, value, count; and edges of all bins."""

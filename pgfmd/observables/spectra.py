@@ -39,8 +39,7 @@ class Spectra(Spectrum):
 
     def measure(self, contact: Contact) -> Groups:
         """Shares its transforms with the autocorrelations.  Collective."""
-        modes = contact.surface.modes
-        surface = contact.surface
+        surface, modes = contact.surface, contact.surface.modes
         power = {"stress": contact.stress.power, "contact": contact.indicator.power}
         if contact.grid.domain.wraps:
             power |= {"height": surface.correlations.power, "full_contact": surface.full_contact}

@@ -67,7 +67,7 @@ class Reduction:
             self.comm.Allreduce(MPI.IN_PLACE, out, MPI.SUM)
         return out
 
-    def sums_of_blocks(self, parts: Mapping[int, tuple[float, ...]], count: int) -> np.ndarray:
+    def sums_of_blocks(self, parts: Mapping[int, ArrayLike], count: int) -> np.ndarray:
         """Sums (count,) of `count` numbers per block of rows or columns, over the blocks of all ranks.  Collective.
 
         parts: first row of a block → its numbers, for each block of this rank, if any.  Blocks are added in the order

@@ -82,7 +82,7 @@ def enclosed() -> Iterator[Row]:
         shape, axis = tuple(int(n) for n in rng.integers(4, 30, 2)), int(rng.integers(2))
         down, right = np.exp(rng.normal(size=(2, *shape)) * rng.uniform(0, 2))
         grid = SlabGrid(comm, shape)
-        network = Network(grid, slab_graph(grid, np.ones(shape, bool), down, right))
+        network = Network(grid, slab_graph(grid, down, right))
         found = network.solve(axis, 10.0 ** -rng.integers(1, 9))
         number = np.arange(math.prod(shape)).reshape(shape)
         ends = [(number.ravel(), np.roll(number, -1, way).ravel()) for way in (0, 1)]
