@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import exprel
 
 from pgfmd.errors import InputError
 from pgfmd.theory import Reals
@@ -82,10 +83,7 @@ class SelfAffineSpectrum:
 def _power_integral(exponent: Reals, start: Reals, stop: Reals) -> Reals:
     """∫ q^exponent dq, zero where stop ≤ start; accurate also at and near exponent = −1, where it is a logarithm."""
     logarithm = np.log(np.maximum(stop, start) / start)
-    growth = (exponent + 1) * logarithm
-    # (e^g − 1)/g tends to 1: the series avoids the division where g is zero or tiny
-    ratio = np.where(np.abs(growth) < 1e-8, 1 + growth / 2, np.expm1(growth) / np.where(growth == 0, 1, growth))
-    return start ** (exponent + 1) * logarithm * ratio
+    return start ** (exponent + 1) * logarithm * exprel((exponent + 1) * logarithm)
 
 
 @dataclass(frozen=True)
