@@ -135,15 +135,17 @@ def persson_fit(edges: np.ndarray, count: np.ndarray, mean: float, points: int) 
 
 def _totals(grid: SlabGrid, part: Callable[[int, int], tuple[np.ndarray, ...]]) -> list[np.ndarray]:
     """Sums over blocks and ranks of the arrays that part(first, stop) returns for rows of this rank.  Collective."""
-    found: dict[int, list] = {}
 
-    def sum_up(first: int, stop: int) -> None:
-        for begin in range(first, stop, ROWS):
-            arrays = part(begin, min(begin + ROWS, stop))
-            found[first] = [total + array for total, array in zip(found.get(first, [0] * 9), arrays, strict=False)]
+    def sum_up(first: int, stop: int) -> tuple[np.ndarray, ...]:
+        totals = part(first, min(first + ROWS, stop))
+        for begin in range(first + ROWS, stop, ROWS):
+            for total, more in zip(totals, part(begin, min(begin + ROWS, stop)), strict=True):
+                total += more
+        return totals
 
-    grid.threads.split(sum_up, grid.local_shape[0])
-    totals = [np.sum(arrays, axis=0) for arrays in zip(*(found[first] for first in sorted(found)), strict=True)]
+    rows = grid.local_shape[0]
+    parts = grid.threads.collect(sum_up, rows, -(-rows // grid.threads.count))
+    totals = [np.sum(arrays, axis=0) for arrays in zip(*parts, strict=True)]
     for total in totals:
         grid.comm.Allreduce(MPI.IN_PLACE, total)
     return totals

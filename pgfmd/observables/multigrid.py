@@ -16,19 +16,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import DTypeLike
 
-from pgfmd.observables import flow_graph
+from pgfmd.observables import flow_graph, flow_loops
 from pgfmd.observables.elimination import Elimination, eliminated, solve_eliminated
 from pgfmd.observables.flow_graph import Flux, Graph, match
-from pgfmd.observables.flow_loops import (
-    add_scaled,
-    form_in_slab,
-    prolong,
-    relax,
-    relax_in_slab,
-    residual,
-    residual_in_slab,
-    restrict,
-)
 from pgfmd.parallel.mpi import MPI
 
 IN_SLABS = 3  # levels
@@ -124,7 +114,7 @@ class Level:
                 if halo is None and count > SLOW * graph.points:
                     found, count = match(graph, sizes, rule, self.graph.points, True)
             sizes, parts = np.zeros(count, np.int32), sizes
-            restrict(parts, found, graph.points, sizes)
+            flow_loops.restrict(parts, found, graph.points, sizes)
             if halo is not None:
                 found = np.concatenate([found, np.empty(sum(halo.copies), np.int32)])
                 halo = halo.coarse(found, count)
@@ -188,19 +178,20 @@ class Level:
         """Stores target − Ax in `out`, or adds it up over aggregates.  Returns `out`.  Collective."""
         if self.halo is not None:
             self.halo.fill(x)
-        (residual if len(self.graph.first) else residual_in_slab)(self.graph, target, x, aggregate, out)
+        loop = flow_loops.residual if len(self.graph.first) else flow_loops.residual_in_slab
+        loop(self.graph, target, x, aggregate, out)
         return out
 
     def restricted(self, values: np.ndarray) -> np.ndarray:
         """Sums over aggregates."""
         assert self.coarse is not None
         out = self.coarse.new()
-        restrict(values, self.aggregate, self.graph.points, out)
+        flow_loops.restrict(values, self.aggregate, self.graph.points, out)
         return out
 
     def prolonged(self, coarse: np.ndarray, out: np.ndarray) -> np.ndarray:
         """Adds the value of its aggregate to each own point of `out`, and returns that."""
-        prolong(coarse, self.aggregate, self.graph.points, out)
+        flow_loops.prolong(coarse, self.aggregate, self.graph.points, out)
         return out
 
     def cycle(self, target: np.ndarray) -> np.ndarray:
@@ -221,9 +212,9 @@ class Level:
     def sweep(self, target: np.ndarray, x: np.ndarray, backward: bool) -> None:
         """Gauss–Seidel over own points."""
         if len(self.graph.first):
-            relax(self.graph, self.inverse, target, x, backward)
+            flow_loops.relax(self.graph, self.inverse, target, x, backward)
         else:
-            relax_in_slab(self.graph, target, x, backward)
+            flow_loops.relax_in_slab(self.graph, target, x, backward)
 
     def solved(self, target: np.ndarray) -> np.ndarray:
         """About A⁻¹ target, by conjugate gradients; exact on the coarsest level.  The target is lost.  Collective."""
@@ -263,7 +254,7 @@ class Level:
         lean = len(self.graph.first) == 0
         if last is not None:
             both = self.form(z, last.direction) if lean else -self.dot(z, last.product)
-            add_scaled(z, -both / last.energy, last.direction, z)
+            flow_loops.add_scaled(z, -both / last.energy, last.direction, z)
         product = NOTHING if lean else self.rest(NOTHING, z, self.new())
         energy = self.form(z, z) if lean else -self.dot(z, product)
         length = self.dot(z, r) / energy if energy > 0 else 0.0
@@ -274,8 +265,8 @@ class Level:
             energy, length = energy * length**2, 1.0
             self.rest(r, z, r)
         else:
-            add_scaled(r, length, product, r)
-        add_scaled(x, length, z, x)
+            flow_loops.add_scaled(r, length, product, r)
+        flow_loops.add_scaled(x, length, z, x)
         return Step(z, product, energy or math.inf)
 
     def form(self, a: np.ndarray, b: np.ndarray, kind: int = 0) -> float:
@@ -284,7 +275,7 @@ class Level:
         self.halo.fill(a)
         if b is not a:
             self.halo.fill(b)
-        return self.sum(form_in_slab(self.graph, kind, a, b))
+        return self.sum(flow_loops.form_in_slab(self.graph, kind, a, b))
 
     def fluxes(self, r: np.ndarray, keep: bool = True) -> tuple[Flux, float]:
         """A flux f_ij on the faces with Σ_j f_ij = r_i.  On the finest level also Σ f²/T over the faces of this rank's

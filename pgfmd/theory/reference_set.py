@@ -62,14 +62,13 @@ def _table() -> tuple[dict[str, float], ...]:
 
 
 def _interpolated(rows: Rows, name: str, hurst: float, scales: float, pressure: float) -> Reference:
-    at_scales = []
+    at_scales, exponents = [], sorted({row["hurst"] for row in rows})
     for each in sorted({row["scales"] for row in rows}):
         at_hurst = []
-        for h in sorted({row["hurst"] for row in rows}):
+        for h in exponents:
             curve = [row for row in rows if row["scales"] == each and row["hurst"] == h]
             pressures = [float(np.log(row["pressure"])) for row in curve]
             at_hurst.append(_between(pressures, _logarithms(curve, name), float(np.log(pressure))))
-        exponents = sorted({row["hurst"] for row in rows})
         at_scales.append(_between(exponents, np.array(at_hurst), hurst))
     keys = [float(np.log(each)) for each in sorted({row["scales"] for row in rows})]
     logarithm, error, scatter = (float(np.interp(np.log(scales), keys, column)) for column in np.array(at_scales).T)
