@@ -19,7 +19,7 @@ from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables import multigrid, network
 from pgfmd.observables.elimination import eliminated, solve_eliminated
 from pgfmd.observables.flow_graph import Graph
-from pgfmd.observables.network import Network, flow_through, slab_graph
+from pgfmd.observables.network import flow_of, flow_through, slab_graph
 from pgfmd.parallel.mpi import ALONE
 from pgfmd.surfaces.self_affine import self_affine
 
@@ -104,7 +104,7 @@ def test_duality(comm):
     # the face of the dual point (i, j) to the next column crosses the face of (i, j + 1) to the next row
     dual_right, dual_down = 1 / np.roll(down, -1, 1), 1 / np.roll(right, -1, 0)
     one, other = (
-        Network(grid, slab_graph(grid, *(face[grid.rows] for face in faces))).solve(axis, 1e-12)
+        flow_of(grid, slab_graph(grid, *(face[grid.rows] for face in faces)), axis, 1e-12)
         for faces, axis in (((down, right), 0), ((dual_down, dual_right), 1))
     )
     assert one.upper * other.upper == pytest.approx(1, rel=1e-10)
@@ -126,7 +126,7 @@ def test_bounds_enclose_a_direct_solution(comm, monkeypatch, many):
         down, right = down * (mask & np.roll(mask, -1, 0)), right * (mask & np.roll(mask, -1, 1))
         exact, grid = direct(mask, down, right, axis), SlabGrid(comm, shape)
         graph = slab_graph(grid, *(field[grid.rows].copy() for field in (down, right)))
-        found = Network(grid, graph).solve(axis, width, True)
+        found = flow_of(grid, graph, axis, width, True)
         slack = 1e-9 * exact + 1e-20
         assert found.lower - slack <= exact <= found.upper + slack
         assert found.upper - found.lower <= width * found.upper + slack

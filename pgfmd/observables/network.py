@@ -53,59 +53,48 @@ def slab_graph(grid: SlabGrid, down: np.ndarray, right: np.ndarray) -> Graph:
     return Graph(np.empty(0, np.int64), other, weight.ravel(), flags.ravel())
 
 
-class Network:
-    """The flow through a graph of a slab.  Collective to make."""
-
-    def __init__(self, grid: SlabGrid, graph: Graph) -> None:
-        self.grid = grid
-        n, ny = graph.other
-        rows = np.arange(ny), np.arange(n - ny, n)
-        self.level = Level(graph, Halo(grid.comm, n, list(rows), [ny, ny]))
-
-    def solve(self, axis: int, width: float, with_flux: bool = False) -> Flow:
-        """K to bounds of that relative width, or to rounding.  Raises SolverError if that does not end.  Collective."""
-        level, kind = self.level, (flow_graph.ACROSS_X, flow_graph.ACROSS_Y)[axis]
-        r, step, moved = level.new(), None, True
-        sources(level.graph, kind, r)
-        u = level.start(r, kind)
-        level.rest(r, u, r)
-        ready, least, since = SURE * width, math.inf, 0
-        for iteration in range(MOST):
+def flow_of(grid: SlabGrid, graph: Graph, axis: int, width: float, with_flux: bool = False) -> Flow:
+    """The flow through a graph of a slab along x (axis 0) or y (1): K to bounds of that relative width, or to what
+    rounding leaves.  Raises SolverError if the iteration does not end.  Collective.
+    """
+    n, ny = graph.other
+    level = Level(graph, Halo(grid.comm, n, [np.arange(ny), np.arange(n - ny, n)], [ny, ny]))
+    kind = (flow_graph.ACROSS_X, flow_graph.ACROSS_Y)[axis]
+    r, step, moved = level.new(), None, True
+    sources(graph, kind, r)
+    u = level.start(r, kind)
+    level.rest(r, u, r)
+    ready, least, since = SURE * width, math.inf, 0
+    for iteration in range(MOST):
+        z = level.cycle(r)
+        estimate = level.dot(r, z)
+        upper = level.form(u, u, kind)
+        if estimate < least / 2:
+            least, since = estimate, iteration
+        stuck = iteration - since >= PATIENCE or not estimate > 0 or not moved
+        if estimate <= ready * upper or stuck:
+            del z  # it and the direction would be there at the peak of memory
+            step = None
+            r[:] = 0  # the updated residual drifts from that of u, to which the bounds belong
+            sources(graph, kind, r)
+            flux, square = level.fluxes(level.rest(r, u, r), with_flux)
+            square = grid.reduction.sum(square) / 2
+            if square <= width * upper or stuck:
+                del r  # as memory peaks with the flux
+                fluxes = forward_faces(graph, kind, u, flux.values) if with_flux else None
+                return Flow(max(upper - square, 0.0), upper, fluxes, iteration)
             z = level.cycle(r)
-            estimate = level.dot(r, z)
-            upper = level.form(u, u, kind)
-            if estimate < least / 2:
-                least, since = estimate, iteration
-            stuck = iteration - since >= PATIENCE or not estimate > 0 or not moved
-            if estimate <= ready * upper or stuck:
-                del z  # it and the direction would be there at the peak of memory
-                step = None
-                r[:] = 0  # the updated residual drifts from that of u, to which the bounds belong
-                sources(level.graph, kind, r)
-                flux, square = level.fluxes(level.rest(r, u, r), with_flux)
-                square = self.grid.reduction.sum(square) / 2
-                if square <= width * upper or stuck:
-                    fluxes = self._on_faces(u, kind, flux.values) if with_flux else None
-                    return Flow(max(upper - square, 0.0), upper, fluxes, iteration)
-                z = level.cycle(r)
-                ready = 0.7 * width * estimate / square
-            step = level.advance(u, r, z, step)
-            moved = step is not None
-            del z
-        raise SolverError(f"leakage: no bounds after {MOST} iterations")
-
-    def _on_faces(self, u: np.ndarray, kind: int, flux: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The balanced flux along the mean flow, on the faces to the next row and column."""
-        out = np.empty((2, self.level.graph.points))
-        forward_faces(self.level.graph, kind, u, flux, out)
-        along_x, along_y = out.reshape(2, *self.grid.local_shape)
-        return along_x, along_y
+            ready = 0.7 * width * estimate / square
+        step = level.advance(u, r, z, step)
+        moved = step is not None
+        del z
+    raise SolverError(f"leakage: no bounds after {MOST} iterations")
 
 
 def flow_through(
     grid: SlabGrid, gap: np.ndarray, mask: np.ndarray, axis: int, width: float, with_flux: bool = False
 ) -> Flow:
-    """The flow through a gap (nx_local, ny) where a mask is set, as `Network.solve` gives it: K for g³ as conductivity,
+    """The flow through a gap (nx_local, ny) where a mask is set, as `flow_of` gives it: K for g³ as conductivity,
     the flux per width for a mean gradient of −1.  Collective.
 
     Components that do not wind around the cell along the axis carry nothing, and are left out.
@@ -126,10 +115,10 @@ def flow_through(
     del labels
     smallest = (least / unit) ** 3 * min(grid.spacing) / max(grid.spacing)
     single = width >= SINGLE and smallest > np.finfo(np.float32).tiny
-    network = Network(grid, conductances(grid, gap, mask, unit, np.float32 if single else np.float64))
+    graph = conductances(grid, gap, mask, unit, np.float32 if single else np.float64)
     del mask
     rounding = float(np.finfo(np.float32).eps) if single else 0.0  # no T changes by a larger part, so K does not
-    found = network.solve(axis, width - 2 * rounding, with_flux)
+    found = flow_of(grid, graph, axis, width - 2 * rounding, with_flux)
     (lx, ly), (ax, ay) = grid.lengths, grid.spacing
     scale = cube * (lx / ly if axis == 0 else ly / lx)
     fluxes = found.fluxes
@@ -176,10 +165,12 @@ def sources(graph: Graph, kind: int, out: np.ndarray) -> None:
 
 
 @compiled()
-def forward_faces(graph: Graph, kind: int, u: np.ndarray, flux: np.ndarray, out: np.ndarray) -> None:
-    """out[0] and out[1] (n,): T (u_j − u_i + w) − f of the faces to the next row and to the next column."""
+def forward_faces(graph: Graph, kind: int, u: np.ndarray, flux: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """T (u_j − u_i + w) − f of the faces to the next row and to the next column (nx_local, ny)."""
     first, other, weight, border = graph
+    out = np.empty((2, len(border)))
     for i in range(len(border)):
         for side in (2, 3):
             j, t, crossed = face(first, other, weight, border, i, 4 * i + side)
             out[side - 2, i] = t * (u[j] - u[i] + crossing(crossed, kind)) - flux[2 * i + side - 2]
+    return out[0].reshape(-1, other[1]), out[1].reshape(-1, other[1])

@@ -22,7 +22,7 @@ from scipy.sparse.linalg import splu
 
 import pgfmd
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.observables.network import Network, flow_through, slab_graph
+from pgfmd.observables.network import flow_of, flow_through, slab_graph
 from pgfmd.observables.percolation import bottlenecks
 from pgfmd.parallel.mpi import world
 from pgfmd.physics.laws.hard import HardWall
@@ -82,8 +82,7 @@ def enclosed() -> Iterator[Row]:
         shape, axis = tuple(int(n) for n in rng.integers(4, 30, 2)), int(rng.integers(2))
         down, right = np.exp(rng.normal(size=(2, *shape)) * rng.uniform(0, 2))
         grid = SlabGrid(comm, shape)
-        network = Network(grid, slab_graph(grid, down, right))
-        found = network.solve(axis, 10.0 ** -rng.integers(1, 9))
+        found = flow_of(grid, slab_graph(grid, down, right), axis, 10.0 ** -rng.integers(1, 9))
         number = np.arange(math.prod(shape)).reshape(shape)
         ends = [(number.ravel(), np.roll(number, -1, way).ravel()) for way in (0, 1)]
         across = [np.broadcast_to((np.arange(shape[way]) == shape[way] - 1).reshape((-1, 1) if way == 0 else (1, -1)),
