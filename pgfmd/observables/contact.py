@@ -216,8 +216,7 @@ class Contact(ContactSolution):
         patches = self.surface.asked.get("patches")
         if patches:  # the lines of the patches add up to the whole line, which then needs no pass
             self.line_of_patches(patches.connectivity)
-        releases, roughness = self.problem.law.releases, self.surface.roughness
-        steps = staircase(self.grid.spacing, self.problem.solid, roughness) if releases else 0.0
+        steps = staircase(self.problem, self.surface.roughness)
         return contact_area(self.grid, self.contact_pressure, self.line, self.problem.least_area, steps)
 
     @property

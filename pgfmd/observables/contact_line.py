@@ -18,6 +18,7 @@ from functools import cache
 
 import numpy as np
 
+from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.solid import Solid
 from pgfmd.theory.lattice_edge import LONG, LatticeEdge, Stiffness, lattice_edge
 
@@ -182,14 +183,16 @@ def edge_table(ratio: float, solid: Solid | None = None, step: float = 1.0) -> E
     return EdgeTable(values, around[0], around[1], scale)
 
 
-def staircase(spacing: tuple[float, float], solid: Solid, roughness: float) -> float:
+def staircase(problem: ContactProblem, roughness: float) -> float:
     """By how much counting pixels overestimates an area, per length of pixel edges between contact and non-contact:
-    that of isotropic straight lines, ∮ δ dθ / ∮ (|cos θ| + |sin θ|) dθ, times 1 + ROUGHNESS s².
+    that of isotropic straight lines, ∮ δ dθ / ∮ (|cos θ| + |sin θ|) dθ, times 1 + ROUGHNESS s²; 0 where all touches.
 
     roughness: s, radians per pixel (`rough_surface`).
     """
-    table = edge_tables(spacing, solid, NEARLY_HALF_SPACE)[0]
-    return table.shift / 8 * spacing[0] * (1 + ROUGHNESS * roughness**2)
+    if not problem.law.releases:
+        return 0.0
+    table = edge_tables(problem.grid.spacing, problem.solid, NEARLY_HALF_SPACE)[0]
+    return table.shift / 8 * problem.grid.spacing[0] * (1 + ROUGHNESS * roughness**2)
 
 
 def edge_tables(spacing: tuple[float, float], solid: Solid, thin: float = THIN) -> tuple[EdgeTable, EdgeTable]:

@@ -147,7 +147,7 @@ def _areas(
             continue
         per_pixel = cutoff * max(grid.spacing)
         line = line_of(smooth, solution, per_pixel <= RESOLVED)
-        steps = staircase(grid.spacing, smooth.solid, per_pixel / BANDWIDTH) if smooth.law.releases else 0.0
+        steps = staircase(smooth, per_pixel / BANDWIDTH)
         area = contact_area(grid, solution.pressure_in_contact(), line, smooth.least_area, steps)
         areas[index] = area.fraction, area.corrected
         before = solution.pressure if start is None else start

@@ -83,11 +83,8 @@ class Stiffness(Observable):
         if math.isinf(found.lower):
             error = 0.0
         if self.half_grid:
-            other = on_half_grid(
-                problem,
-                contact.surface.solve,
-                lambda coarse, solution: increment(coarse, solution.pressure, self.width).lower,
-            )
+            solve, width = contact.surface.solve, self.width
+            other = on_half_grid(problem, solve, lambda coarse, found: increment(coarse, found.pressure, width).lower)
             error += abs(value - (math.nan if other is None else other))
         modulus = problem.solid.contact_modulus
         bulk = problem.solid.mean_stiffness() if grid.domain.wraps else 0.0  # an open approach contains it
