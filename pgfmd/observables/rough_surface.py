@@ -185,7 +185,8 @@ class RoughSurface:
 
     asked: the observables by name, in the order of their measurement.  edges: of the bins of the wave number;  lags:
     bins of the distance, None if no autocorrelation is asked for.  seconds: time spent so far on each observable; work
-    that several share is counted for the first of them.
+    that several share is counted for the first of them.  rms_slope: √Σ q²|h̃|².  roughness: √(Σ q⁴|h̃|² / Σ q²|h̃|²) in
+    radians per pixel, curvature over slope.  is_smooth: whether the grid resolves the surface.
     """
 
     def __init__(
@@ -214,7 +215,9 @@ class RoughSurface:
         acf = self.asked.get("acf")
         self.lags = lag_rings(self.grid, acf.edges(self.cell)) if acf else None
         self.full_contact = np.zeros(0)  # Σ |K h̃|² in each bin, K the stiffness, where spectra are asked for
-        self._slopes, self._correlations = self._measure()
+        (self.rms_slope, ratio, beyond), self._correlations = self._measure()
+        self.roughness = ratio * math.sqrt(self.grid.pixel_area)
+        self.is_smooth = beyond <= BEYOND
 
     def solve(self, problem: ContactProblem, **options: Any) -> ContactSolution | None:
         """A further contact; None, with a warning in the log, if it cannot be solved.  Collective."""
@@ -308,21 +311,6 @@ class RoughSurface:
     def correlations(self) -> Correlations:
         """Spectrum of the heights, and autocorrelation if one is asked for."""
         return self._correlations or self.correlate(source(self.heights))
-
-    @property
-    def rms_slope(self) -> float:
-        """√Σ q²|h̃|²."""
-        return self._slopes[0]
-
-    @property
-    def roughness(self) -> float:
-        """√(Σ q⁴|h̃|² / Σ q²|h̃|²) in radians per pixel: curvature over slope."""
-        return self._slopes[1] * math.sqrt(self.grid.pixel_area)
-
-    @property
-    def is_smooth(self) -> bool:
-        """Whether the grid resolves the surface."""
-        return self._slopes[2] <= BEYOND
 
     def acf_groups(self, name: str, found: Correlations) -> Groups:
         """The three groups of an autocorrelation; none if none is asked for."""
