@@ -30,7 +30,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from mpi4py import MPI
 from scipy.ndimage import fourier_shift
 from scipy.special import erfinv
 
@@ -38,6 +37,7 @@ import pgfmd
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.contact import Contact
 from pgfmd.observables.rough_surface import RoughSurface
+from pgfmd.parallel.mpi import ALONE
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.homogeneous import Homogeneous
@@ -64,7 +64,7 @@ class Case:
 def solved(case: Case, points: int) -> dict[str, float]:
     """The numbers of one contact on a grid of λ_s = points·a."""
     n, across = points * case.across, case.across
-    grid = SlabGrid(MPI.COMM_SELF, (n, n), (1.0, 1.0))
+    grid = SlabGrid(ALONE, (n, n), (1.0, 1.0))
     heights = self_affine(grid, case.hurst, 1 / across, 1.0, case.seed)
     if any(case.place):
         heights = np.ascontiguousarray(np.fft.ifft2(fourier_shift(np.fft.fft2(heights), case.place)).real)
@@ -139,7 +139,7 @@ def _drawn(seed: int, number: int, known: dict[str, str] | None) -> dict[str, fl
     base = str(rng.choice(["", "bonded", "sliding"], p=[0.5, 0.25, 0.25]))
     thickness = between(0.02, 64) if base else math.inf
     poisson = float(rng.uniform(0.0, 0.45))
-    grid = SlabGrid(MPI.COMM_SELF, (n, n))
+    grid = SlabGrid(ALONE, (n, n))
     heights = self_affine(grid, hurst, lambda_s, 0.1, int(rng.integers(2**31)))
     solid = Homogeneous(contact_modulus=1.0, thickness=thickness, base=base or "bonded", poisson=poisson)
     control = ContactArea(ContactProblem(grid, heights, solid, HardWall()), Load(contact_area=(area,)))

@@ -16,6 +16,7 @@ import sys
 import time
 from pathlib import Path
 
+import error_bars
 import numpy as np
 
 from .case import CONTACT_MODULUS, RMS_SLOPE, Case, launch
@@ -125,16 +126,14 @@ def _heights(case: Case, seed: int) -> np.ndarray:
 def total(folder: Path, surface: tuple[float, int], plan: list, budget: float, clock: str) -> None:
     """Adds to DIR/total.csv what it lacks, and prints the best of each method.
 
-    surface: H, and λ_s to a side of the cell.  plan: (method, setting).  Limits are those of `discretisation.area`, in
+    surface: H, and λ_s to a side of the cell.  plan: (method, setting).  Limits are those of `error_bars.area`, in
     DIR/area.csv.
     """
-    import discretisation
-
     hurst, across = surface
-    load = next(load for h, area, load in discretisation.cases() if (h, area) == (hurst, AREA))
-    first = discretisation.Case(math.nan, math.nan, SEEDS[0], across)
-    discretisation.area(folder / "area.csv", first, LARGEST // across, 1, (hurst, AREA))
-    limits = {seed: discretisation.limit(folder / "area.csv", (hurst, AREA, seed, across)) for seed in SEEDS}
+    load = next(load for h, area, load in error_bars.cases() if (h, area) == (hurst, AREA))
+    first = error_bars.Case(math.nan, math.nan, SEEDS[0], across)
+    error_bars.area(folder / "area.csv", first, LARGEST // across, 1, (hurst, AREA))
+    limits = {seed: error_bars.limit(folder / "area.csv", (hurst, AREA, seed, across)) for seed in SEEDS}
     path = folder / "total.csv"
     if not path.exists():
         path.write_text(",".join(COLUMNS) + "\n")
