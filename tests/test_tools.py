@@ -6,6 +6,7 @@ import csv
 import json
 import os
 import re
+import runpy
 import signal
 import subprocess
 import sys
@@ -543,6 +544,16 @@ def test_a_figure_can_be_drawn_by_its_file(runs, tmp_path):
     command = [sys.executable, str(PLOTS / "area_load.py"), str(runs["kept"]), "--output", str(tmp_path)]
     subprocess.run(command, check=True, capture_output=True, timeout=300)
     assert (tmp_path / "area_load.pdf").stat().st_size > 0
+
+
+@pytest.mark.parametrize("figure", figures.FIGURES)
+def test_a_figure_is_a_command_of_its_file(figure, monkeypatch, capsys):
+    """`python tools/plots/NAME.py` is `pgfmd plot NAME`."""
+    monkeypatch.setattr(sys, "argv", [figure, "--help"])
+    with pytest.raises(SystemExit) as end:
+        runpy.run_path(str(PLOTS / f"{figure}.py"), run_name="__main__")
+    assert end.value.code == 0
+    assert f"pgfmd plot {figure}" in capsys.readouterr().out
 
 
 def test_an_exact_field_theory_reads_one(runs):

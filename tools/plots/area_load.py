@@ -9,7 +9,6 @@ interpolation in the logarithm of the area.
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Sequence
 
 import figures
@@ -174,4 +173,4 @@ def _draw_theory(sheet: Sheet, loads: list[Load], groups: Sequence[Ensemble]):
 
 
 if __name__ == "__main__":
-    sys.exit(figures.main(["area_load", *sys.argv[1:]]))
+    figures.command(__file__)

@@ -8,8 +8,6 @@ ratio is m₂ = ⟨σ²⟩_c/σ_c² at Δr = 0.
 
 from __future__ import annotations
 
-import sys
-
 import figures
 import numpy as np
 from choosing import near
@@ -103,4 +101,4 @@ def _where(error: np.ndarray | None, chosen: np.ndarray) -> np.ndarray | None:
 
 
 if __name__ == "__main__":
-    sys.exit(figures.main(["autocorrelations", *sys.argv[1:]]))
+    figures.command(__file__)

@@ -8,7 +8,6 @@ over the choice of the fit range.  Theory of the bearing area: μ = 2 + H.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 
 import figures
@@ -103,4 +102,4 @@ def normalised(group: Ensemble, kind: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 if __name__ == "__main__":
-    sys.exit(figures.main(["bearing_area", *sys.argv[1:]]))
+    figures.command(__file__)

@@ -8,7 +8,6 @@ left out of the fits.  Size laws are fitted by maximum likelihood, with a test o
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Sequence
 
 import figures
@@ -262,4 +261,4 @@ def _draw_law(sheet: Sheet, size: np.ndarray, least: float, most: float, name: s
 
 
 if __name__ == "__main__":
-    sys.exit(figures.main(["contact_patches", *sys.argv[1:]]))
+    figures.command(__file__)

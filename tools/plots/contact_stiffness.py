@@ -9,7 +9,6 @@ run the change of p̄ over that of ḡ lies between the K of both, as the contac
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Iterable, Iterator
 from itertools import pairwise
 
@@ -103,4 +102,4 @@ def rms_height(load: Load) -> float:
 
 
 if __name__ == "__main__":
-    sys.exit(figures.main(["contact_stiffness", *sys.argv[1:]]))
+    figures.command(__file__)

@@ -8,7 +8,6 @@ choices.
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 
 import figures
@@ -118,4 +117,4 @@ def report(sheet: Sheet, group: Ensemble, r: np.ndarray, decay: np.ndarray, limi
 
 
 if __name__ == "__main__":
-    sys.exit(figures.main(["correlation_decay", *sys.argv[1:]]))
+    figures.command(__file__)

@@ -10,7 +10,6 @@ is on the horizontal axis.  `--fit` fits a power law to the absolute means in a 
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -294,4 +293,4 @@ def _fit(sheet: Sheet, name: str, seeds: list[list[tuple[float, float]]], limits
 
 
 if __name__ == "__main__":
-    sys.exit(figures.main(["dependence", *sys.argv[1:]]))
+    figures.command(__file__)

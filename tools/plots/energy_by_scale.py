@@ -9,8 +9,6 @@ share of the energy their bins hold.
 
 from __future__ import annotations
 
-import sys
-
 import figures
 import numpy as np
 from choosing import near
@@ -79,4 +77,4 @@ def report(sheet: Sheet, group: Ensemble, name: str, shares: np.ndarray, theory:
 
 
 if __name__ == "__main__":
-    sys.exit(figures.main(["energy_by_scale", *sys.argv[1:]]))
+    figures.command(__file__)

@@ -10,7 +10,6 @@ halved at each end) give the spread over choices.
 from __future__ import annotations
 
 import math
-import sys
 from collections import Counter
 from collections.abc import Sequence
 
@@ -257,4 +256,4 @@ def _draw_exponents(sheet: Sheet, points: list[tuple[Ensemble, str]], largest: i
 
 
 if __name__ == "__main__":
-    sys.exit(figures.main(["exponents", *sys.argv[1:]]))
+    figures.command(__file__)

@@ -8,8 +8,6 @@ that differ by the seed alone are averaged; bands in q/q_l carry the standard er
 
 from __future__ import annotations
 
-import sys
-
 import figures
 import numpy as np
 from estimators import band_ratio
@@ -101,4 +99,4 @@ def _draw_persson(sheet: Sheet, group: Ensemble):
 
 
 if __name__ == "__main__":
-    sys.exit(figures.main(["field_theory", *sys.argv[1:]]))
+    figures.command(__file__)

@@ -104,6 +104,11 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
+def command(file: str):
+    """The same for the figure of a file that Python runs: `python tools/plots/NAME.py DIR…`."""
+    sys.exit(main([Path(file).stem, *sys.argv[1:]]))
+
+
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str):
         raise InputError(f"{message} (see {self.prog} --help)")

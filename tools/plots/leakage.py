@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-import sys
-
 import figures
 import numpy as np
 from contact_stiffness import column, means
@@ -93,4 +91,4 @@ def constriction(load: Load, axis: str = "x") -> tuple[float, float] | None:
 
 
 if __name__ == "__main__":
-    sys.exit(figures.main(["leakage", *sys.argv[1:]]))
+    figures.command(__file__)

@@ -8,7 +8,6 @@ Writes overview.html, which shows all loads of the first folder, and draws the l
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable, Iterator, Sequence
 
 import figures
@@ -180,4 +179,4 @@ def draw_spectra(sheet: Sheet, panel: int, load: Load):
 
 
 if __name__ == "__main__":
-    sys.exit(figures.main(["overview", *sys.argv[1:]]))
+    figures.command(__file__)

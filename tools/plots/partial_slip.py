@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-import sys
-
 import figures
 import numpy as np
 from contact_stiffness import column, means
@@ -44,4 +42,4 @@ def draw(loads: list[Load]) -> Sheet:
 
 
 if __name__ == "__main__":
-    sys.exit(figures.main(["partial_slip", *sys.argv[1:]]))
+    figures.command(__file__)

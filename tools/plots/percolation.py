@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-import sys
-
 import figures
 import numpy as np
 from leakage import constriction
@@ -62,4 +60,4 @@ def draw_path(sheet: Sheet, panel: int, load: Load) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(figures.main(["percolation", *sys.argv[1:]]))
+    figures.command(__file__)

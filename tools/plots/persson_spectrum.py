@@ -8,8 +8,6 @@ solved on the surface low-passed at q, at the same load.  One panel for each set
 
 from __future__ import annotations
 
-import sys
-
 import figures
 import matplotlib
 import numpy as np
@@ -185,4 +183,4 @@ def _slope(x: np.ndarray, row: np.ndarray, part: np.ndarray) -> float:
 
 
 if __name__ == "__main__":
-    sys.exit(figures.main(["persson_spectrum", *sys.argv[1:]]))
+    figures.command(__file__)

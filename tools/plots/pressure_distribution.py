@@ -8,8 +8,6 @@ form with the width that fits best.  Runs that differ by the seed alone are aver
 
 from __future__ import annotations
 
-import sys
-
 import figures
 import numpy as np
 from choosing import near
@@ -135,4 +133,4 @@ def _fitted(load: Load) -> float:
 
 
 if __name__ == "__main__":
-    sys.exit(figures.main(["pressure_distribution", *sys.argv[1:]]))
+    figures.command(__file__)

@@ -8,7 +8,6 @@ The finest grid's corrected area, mean gap and ⟨p²⟩ serve as the limit for 
 from __future__ import annotations
 
 import math
-import sys
 
 import figures
 import numpy as np
@@ -93,4 +92,4 @@ def _square(load: Load) -> float:
 
 
 if __name__ == "__main__":
-    sys.exit(figures.main(["resolution", *sys.argv[1:]]))
+    figures.command(__file__)

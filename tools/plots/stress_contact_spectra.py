@@ -8,8 +8,6 @@ alone are averaged: ratio of the means.
 
 from __future__ import annotations
 
-import sys
-
 import figures
 import numpy as np
 from choosing import near
@@ -101,4 +99,4 @@ def report(sheet: Sheet, group: Ensemble, name: str, data: tuple):
 
 
 if __name__ == "__main__":
-    sys.exit(figures.main(["stress_contact_spectra", *sys.argv[1:]]))
+    figures.command(__file__)

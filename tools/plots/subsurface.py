@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-import sys
-
 import figures
 from maps import show_field, thinned, unit_text
 from plotting import COLOURS, Sheet, limited
@@ -45,4 +43,4 @@ def draw(loads: list[Load]) -> Sheet:
 
 
 if __name__ == "__main__":
-    sys.exit(figures.main(["subsurface", *sys.argv[1:]]))
+    figures.command(__file__)
