@@ -5,7 +5,6 @@
     python tools/bench/benchmark.py resolution DIR  # discretisation error against n
     python tools/bench/benchmark.py transforms DIR  # an FFT pair, ours and others'
     python tools/bench/benchmark.py cores DIR  # what a second core gains
-    python tools/bench/benchmark.py phases DIR --n 4096  # a whole run, phase by phase
     python tools/bench/benchmark.py counts DIR --n 4096 --area .2 .5 --seeds 1 2 --ranks 1 2  # transforms, memory
     python tools/bench/benchmark.py total DIR --hurst 0.8  # to a total error of the area
     python tools/bench/benchmark.py report DIR  # tables, pictures once more
@@ -62,11 +61,9 @@ PLAN = [  # (method, setting, ranks, threads)
 
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument(
-        "what", choices=("run", "resolution", "transforms", "cores", "phases", "counts", "total", "report")
-    )
+    parser.add_argument("what", choices=("run", "resolution", "transforms", "cores", "counts", "total", "report"))
     parser.add_argument("folder", type=Path, help="for results; made if missing")
-    parser.add_argument("--n", type=int, nargs="+", help="points per side (512; transforms, cores, phases: 4096)")
+    parser.add_argument("--n", type=int, nargs="+", help="points per side (512; transforms, cores: 4096)")
     parser.add_argument("--hurst", type=float, nargs="+", default=[0.8])
     parser.add_argument("--lambda-s", nargs="+", help="in grid spacings; n/64 is allowed (16; cores: n/64)")
     parser.add_argument("--across", type=int, nargs="+", default=[64], help="λ_s to a side of the cell (total)")
@@ -104,11 +101,6 @@ def main(arguments: list[str] | None = None) -> int:
             options.n or [4096], options.hurst, options.lambda_s or ["n/64"], options.area
         ):
             cores(options.folder, n, hurst, _wavelength(length, n), area, options.tolerance or 1e-4, options.repeat)
-    elif options.what == "phases":
-        from benchmarks.phases import phases
-
-        for n, length, ranks in itertools.product(options.n or [4096], options.lambda_s or ["16"], options.threads):
-            phases(options.folder, n, _wavelength(length, n), ranks, options.repeat)
     elif options.what == "counts":
         from benchmarks.counts import counts
 
@@ -124,7 +116,7 @@ def main(arguments: list[str] | None = None) -> int:
         plan = [p[:2] for p in PLAN if p[2:] == (1, 1) and p[0] in (options.methods or peers)]
         for surface in itertools.product(options.hurst, options.across):
             total(options.folder, surface, plan, options.budget, options.clock)
-    if options.what not in ("transforms", "cores", "phases", "counts", "total"):
+    if options.what not in ("transforms", "cores", "counts", "total"):
         from benchmarks.ratios import report
 
         report(options.folder, options.clock)
