@@ -14,6 +14,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.special import erfinv
+
+from pgfmd.errors import SolverError
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.parallel.mpi import ALONE
+from pgfmd.physics.laws.hard import HardWall
+from pgfmd.physics.problem import ContactProblem
+from pgfmd.physics.solids.homogeneous import Homogeneous
+from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
+from pgfmd.surfaces.self_affine import self_affine
 
 ROOT = Path(__file__).resolve().parents[3]
 CONTACT_MODULUS = 8 / 3  # Lamé constants 1
@@ -56,20 +66,14 @@ def _surface_file(case: Case, folder: Path) -> Path:
     return folder / f"surface-n{case.n}-H{case.hurst:g}-ls{case.lambda_s:g}.npy"
 
 
+def hard_contact(grid: SlabGrid, heights: np.ndarray, pressure: float) -> ContactProblem:
+    """The contact of a half-space with rigid heights (rows, n) at a mean pressure."""
+    return ContactProblem(grid, heights, Homogeneous(contact_modulus=CONTACT_MODULUS), HardWall(), pressure)
+
+
 def prepare(case: Case, folder: Path) -> None:
     """Write surface, load and reference into `folder`.  Serial; takes a few solves of our own."""
-    from mpi4py import MPI
-
-    from pgfmd.errors import SolverError
-    from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.physics.laws.hard import HardWall
-    from pgfmd.physics.problem import ContactProblem
-    from pgfmd.physics.solids.homogeneous import Homogeneous
-    from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
-    from pgfmd.surfaces.self_affine import self_affine
-
-    grid = SlabGrid(MPI.COMM_SELF, (case.n, case.n))
-    elasticity = Homogeneous(contact_modulus=CONTACT_MODULUS)
+    grid = SlabGrid(ALONE, (case.n, case.n))
     path = _surface_file(case, folder)
     if path.exists():
         heights = np.load(path)
@@ -78,7 +82,7 @@ def prepare(case: Case, folder: Path) -> None:
         np.save(path, heights)
 
     def solve(pressure: float, tolerance: float):
-        return solve_hard_wall(ContactProblem(grid, heights, elasticity, HardWall(), pressure), tolerance)
+        return solve_hard_wall(hard_contact(grid, heights, pressure), tolerance)
 
     pressure = _load_for(case.area, lambda p: float(np.mean(solve(p, 1e-3).pressure > 0)))
     for tolerance in REFERENCE_ERRORS:
@@ -106,19 +110,13 @@ def _load_for(area: float, measure, within: float = 0.01) -> float:
         found = measure(pressure)
         if abs(found - area) <= within * min(area, 1 - area):
             break
-        factor *= inverse_erf(min(found, 1 - 1e-9)) / inverse_erf(area)
+        factor *= erfinv(min(found, 1 - 1e-9)) / erfinv(area)
     return pressure
 
 
 def likely_pressure(area: float, factor: float = LIKELY_FACTOR) -> float:
     """The mean pressure that gives about that contact area: Persson's law with a factor."""
-    return inverse_erf(area) / factor * CONTACT_MODULUS * RMS_SLOPE / math.sqrt(2)
-
-
-def inverse_erf(x: float) -> float:
-    from scipy.special import erfinv
-
-    return float(erfinv(x))
+    return float(erfinv(area)) / factor * CONTACT_MODULUS * RMS_SLOPE / math.sqrt(2)
 
 
 def launch(module: str, arguments: list[str], ranks: int, threads: int) -> subprocess.Popen:

@@ -14,7 +14,12 @@ import sys
 import time
 from pathlib import Path
 
-from .case import CONTACT_MODULUS, RMS_SLOPE, SEED, launch, likely_pressure
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.parallel.mpi import world
+from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
+from pgfmd.surfaces.self_affine import self_affine
+
+from .case import RMS_SLOPE, SEED, hard_contact, launch, likely_pressure
 
 PLAN = {  # ranks, threads, copies at once
     "one thread": (1, 1, 1),
@@ -93,23 +98,14 @@ def _processor_times() -> tuple[int, int]:
 
 def _measure(n: int, hurst: float, lambda_s: float, area: float, tolerance: float) -> list[float]:
     """Seconds of two relaxations, after a small one that loads libraries and compiled kernels.  Collective."""
-    from mpi4py import MPI
-
-    from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.physics.laws.hard import HardWall
-    from pgfmd.physics.problem import ContactProblem
-    from pgfmd.physics.solids.homogeneous import Homogeneous
-    from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
-    from pgfmd.surfaces.self_affine import self_affine
-
-    comm, seconds, solid = MPI.COMM_WORLD, [], Homogeneous(contact_modulus=CONTACT_MODULUS)
+    comm, seconds = world(), []
     for size, runs in ((min(n, 512), 1), (n, 2)):
         grid = SlabGrid(comm, (size, size))
         for _ in range(runs):
             heights = self_affine(grid, hurst, lambda_s * size / n if size < n else lambda_s, RMS_SLOPE, SEED)
             comm.Barrier()
             began = time.perf_counter()
-            solve_hard_wall(ContactProblem(grid, heights, solid, HardWall(), likely_pressure(area)), tolerance)
+            solve_hard_wall(hard_contact(grid, heights, likely_pressure(area)), tolerance)
             comm.Barrier()
             seconds.append(time.perf_counter() - began)
     return seconds[1:]
@@ -117,7 +113,5 @@ def _measure(n: int, hurst: float, lambda_s: float, area: float, tolerance: floa
 
 if __name__ == "__main__":
     result = _measure(int(sys.argv[1]), *map(float, sys.argv[2:]))
-    from mpi4py import MPI
-
-    if MPI.COMM_WORLD.rank == 0:
+    if world().rank == 0:
         print(json.dumps(result))

@@ -20,8 +20,21 @@ import time
 from pathlib import Path
 
 import numpy as np
+from scipy.special import erfinv
 
-from .case import CONTACT_MODULUS, Case, inverse_erf, launch
+import pgfmd
+from pgfmd.application.estimate import AREA_EXCESS
+from pgfmd.grid.domain import OPEN, PERIODIC
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.parallel.mpi import world
+from pgfmd.physics.laws.hard import HardWall
+from pgfmd.physics.problem import ContactProblem
+from pgfmd.physics.solids.homogeneous import Homogeneous, Layered
+from pgfmd.solvers.active_set.cropping import solve_hard_wall
+from pgfmd.solvers.load_control import LoadControl
+from pgfmd.solvers.options import Load
+
+from .case import CONTACT_MODULUS, Case, launch
 from .methods import METHODS
 from .recorder import Recorder
 
@@ -58,10 +71,9 @@ def _shown(value) -> str:
 
 def pressure_of(area: float) -> float:
     """The mean pressure for a contact area A by theory: A = a (1 + c (1 − a)), a = erf(√2 p̄/(E' g))."""
-    from pgfmd.application.estimate import AREA_EXCESS as c
-
+    c = AREA_EXCESS
     persson = (1 + c - math.sqrt((1 + c) ** 2 - 4 * c * area)) / (2 * c)
-    return inverse_erf(persson) * RMS_SLOPE / math.sqrt(2)
+    return float(erfinv(persson)) * RMS_SLOPE / math.sqrt(2)
 
 
 class Last(Recorder):
@@ -76,16 +88,6 @@ class Last(Recorder):
 
 def solve(case: dict, comm, pressure: float) -> dict:
     """The row of one case: peak memory above what the process had before, all ranks together.  Collective."""
-    import pgfmd
-    from pgfmd.grid.domain import OPEN, PERIODIC
-    from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.physics.laws.hard import HardWall
-    from pgfmd.physics.problem import ContactProblem
-    from pgfmd.physics.solids.homogeneous import Homogeneous, Layered
-    from pgfmd.solvers.active_set.cropping import solve_hard_wall
-    from pgfmd.solvers.load_control import LoadControl
-    from pgfmd.solvers.options import Load
-
     n, before, errors = case["n"], resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, []
     surface = {name: case[name] for name in ("lambda_s", "hurst", "seed")}
     surface |= {"kind": "self-affine", "rms_slope": RMS_SLOPE}
@@ -130,10 +132,8 @@ def solve(case: dict, comm, pressure: float) -> dict:
 
 
 if __name__ == "__main__":
-    from mpi4py.MPI import COMM_WORLD
-
     asked = json.loads(sys.argv[1])
-    solve(asked | WARM_UP, COMM_WORLD, pressure_of(asked["area"]))
-    result = solve(asked, COMM_WORLD, pressure_of(asked["area"]))
-    if COMM_WORLD.rank == 0:
+    solve(asked | WARM_UP, world(), pressure_of(asked["area"]))
+    result = solve(asked, world(), pressure_of(asked["area"]))
+    if world().rank == 0:
         print(json.dumps(result))

@@ -8,29 +8,27 @@ sets up, solves and notes: once at the end (`LADDERS`, run once per tolerance), 
 from __future__ import annotations
 
 import contextlib
+from functools import partial
 
 import numpy as np
 
-from .case import CONTACT_MODULUS, Case
+from pgfmd.errors import SolverError
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.parallel.mpi import ALONE, world
+from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
+from pgfmd.solvers.gfmd import solve_gfmd
+from pgfmd.solvers.solution import pressure_in_place
+
+from .case import CONTACT_MODULUS, Case, hard_contact
+from .polonsky_keer import polonsky_keer
 from .recorder import EnoughError, Recorder
 
 
 def pgfmd(case: Case, heights, mean_pressure, recorder: Recorder, tolerance: float, threads: int) -> None:
     """This project's solver; complete runs.  Collective."""
-    from mpi4py import MPI
-
-    from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.physics.laws.hard import HardWall
-    from pgfmd.physics.problem import ContactProblem
-    from pgfmd.physics.solids.homogeneous import Homogeneous
-    from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
-
     recorder.start()
-    grid = SlabGrid(MPI.COMM_WORLD, (case.n, case.n), threads=threads)
-    solution = solve_hard_wall(
-        ContactProblem(grid, heights, Homogeneous(contact_modulus=CONTACT_MODULUS), HardWall(), mean_pressure),
-        tolerance,
-    )
+    grid = SlabGrid(world(), (case.n, case.n), threads=threads)
+    solution = solve_hard_wall(hard_contact(grid, heights, mean_pressure), tolerance)
     recorder.note(solution.pressure, solution.transforms)
     recorder.add_tail()
     grid.free()
@@ -38,15 +36,6 @@ def pgfmd(case: Case, heights, mean_pressure, recorder: Recorder, tolerance: flo
 
 def pgfmd_steps(case: Case, heights, mean_pressure, recorder: Recorder, tolerance: float, threads: int) -> None:
     """The same, watched after each outer step on the finest grid.  Collective."""
-    from mpi4py import MPI
-
-    from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.physics.laws.hard import HardWall
-    from pgfmd.physics.problem import ContactProblem
-    from pgfmd.physics.solids.homogeneous import Homogeneous
-    from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
-    from pgfmd.solvers.solution import pressure_in_place
-
     coarser = {}
 
     def monitor(level, state):
@@ -54,98 +43,50 @@ def pgfmd_steps(case: Case, heights, mean_pressure, recorder: Recorder, toleranc
             coarser[level.shape] = level.transforms * level.size / grid.size
             return
         pressure = pressure_in_place(grid, state)
-        scale = mean_pressure * grid.size / MPI.COMM_WORLD.allreduce(float(pressure.sum()))
+        scale = mean_pressure * grid.size / grid.comm.allreduce(float(pressure.sum()))
         recorder.note(pressure, grid.transforms + sum(coarser.values()), scale)
 
     recorder.start()
-    grid = SlabGrid(MPI.COMM_WORLD, (case.n, case.n), threads=threads)
-    solve_hard_wall(
-        ContactProblem(grid, heights, Homogeneous(contact_modulus=CONTACT_MODULUS), HardWall(), mean_pressure),
-        tolerance,
-        monitor=monitor,
-    )
+    grid = SlabGrid(world(), (case.n, case.n), threads=threads)
+    solve_hard_wall(hard_contact(grid, heights, mean_pressure), tolerance, monitor=monitor)
     recorder.add_tail()
     grid.free()
 
 
 def plain_polonsky_keer(case: Case, heights, mean_pressure, recorder: Recorder, tolerance: float, threads: int) -> None:
     """Polonsky–Keer on this project's transforms, one rank."""
-    from mpi4py import MPI
-
-    from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.physics.solids.homogeneous import Homogeneous
-
-    from .polonsky_keer import polonsky_keer
-
     recorder.start()
-    grid = SlabGrid(MPI.COMM_SELF, (case.n, case.n), threads=threads)
+    grid = SlabGrid(ALONE, (case.n, case.n), threads=threads)
     with contextlib.suppress(EnoughError):
-        polonsky_keer(
-            grid,
-            heights,
-            mean_pressure,
-            Homogeneous(contact_modulus=CONTACT_MODULUS),
-            lambda p, transforms: recorder.note(p, transforms, may_stop=True),
-        )
+        polonsky_keer(hard_contact(grid, heights, mean_pressure), partial(recorder.note, may_stop=True))
 
 
 def gfmd(case: Case, heights, mean_pressure, recorder: Recorder, tolerance: float, threads: int) -> None:
     """Green's function molecular dynamics with a hard wall, noted where it checks its own error; one rank."""
-    from mpi4py import MPI
-
-    from pgfmd.errors import SolverError
-    from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.physics.laws.hard import HardWall
-    from pgfmd.physics.problem import ContactProblem
-    from pgfmd.physics.solids.homogeneous import Homogeneous
-    from pgfmd.solvers.gfmd import solve_gfmd
-
     def watch(_, state):
         recorder.note(state.pressure, grid.transforms, mean_pressure / state.pressure.mean(), may_stop=True)
 
     recorder.start()
-    grid = SlabGrid(MPI.COMM_SELF, (case.n, case.n), threads=threads)
-    elasticity = Homogeneous(contact_modulus=CONTACT_MODULUS)
+    grid = SlabGrid(ALONE, (case.n, case.n), threads=threads)
+    problem = hard_contact(grid, heights, mean_pressure)
     with contextlib.suppress(EnoughError, SolverError):
-        solve_gfmd(
-            ContactProblem(grid, heights, elasticity, HardWall(), mean_pressure),
-            tolerance=tolerance,
-            max_steps=100_000,
-            monitor=watch,
-        )
+        solve_gfmd(problem, tolerance=tolerance, max_steps=100_000, monitor=watch)
 
 
 def aspher(
-    case: Case,
-    heights,
-    mean_pressure,
-    recorder: Recorder,
-    tolerance: float,
-    threads: int,
-    precision: str = "double",
-    engine: str = "auto",
-    coarsest: int = 64,
-    coarse_tol: float = 1e-4,
-) -> None:
+    case: Case, heights, mean_pressure, recorder: Recorder, tolerance: float, threads: int,
+    precision: str = "double", engine: str = "auto",
+) -> None:  # fmt: skip
     """ASPHER's nested solver with its periodic operator; OMP_NUM_THREADS is its number of threads."""
     import aspher as peer
 
     gap = -heights.ravel()
     recorder.start()
     result = peer.solve_nested(
-        case.n,
-        gap,
-        mean_pressure,
-        domain_size=float(case.n),
-        E_star=CONTACT_MODULUS,
-        backend="periodic",
-        coarsest=min(coarsest, case.n // 2),
-        coarse_tol=coarse_tol,
-        precision=precision,
-        precond_engine=engine,
-        tol=tolerance,
+        case.n, gap, mean_pressure, domain_size=float(case.n), E_star=CONTACT_MODULUS, backend="periodic",
+        coarsest=min(64, case.n // 2), coarse_tol=1e-4, precision=precision, precond_engine=engine, tol=tolerance,
         light_result=True,
-    )
+    )  # fmt: skip
     recorder.note(np.asarray(result.pressure).reshape(case.n, case.n), _aspher_transforms(case, result, engine))
     recorder.add_tail()
     if result.status == "stagnated":
@@ -205,14 +146,9 @@ def contact_mechanics(case: Case, heights, mean_pressure, recorder: Recorder, to
     substrate = PeriodicFFTElasticHalfSpace((case.n, case.n), CONTACT_MODULUS, (float(case.n), float(case.n)))
     with contextlib.suppress(EnoughError):
         constrained_conjugate_gradients(
-            substrate,
-            heights,
-            external_force=mean_pressure * case.n**2,
-            pentol=tolerance,
-            forcetol=tolerance,
-            thermotol=tolerance,
-            callback=watch,
-        )
+            substrate, heights, external_force=mean_pressure * case.n**2, callback=watch,
+            pentol=tolerance, forcetol=tolerance, thermotol=tolerance,
+        )  # fmt: skip
 
 
 LADDERS = {"pgfmd": pgfmd, "ASPHER": aspher}

@@ -8,36 +8,30 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from pgfmd.grid.transforms import sink, source
+
 _jit = numba.njit(nogil=True, cache=True, fastmath={"reassoc", "contract", "nsz"})
 
 
-def polonsky_keer(grid, heights, mean_pressure, elasticity, monitor, most: int = 100_000) -> None:
+def polonsky_keer(problem, monitor, most: int = 100_000) -> None:
     """Iterate, calling monitor(pressure, transforms) each time, until it raises.  Serial.
 
-    heights (nx, ny).  Two applications of the compliance per iteration: to the pressure and to the search direction.
+    Two applications of the compliance per iteration: to the pressure and to the search direction.
     """
-    compliance = elasticity.apply_compliance(grid, np.float64, 1 / grid.size)
-
-    def apply(field: np.ndarray, out: np.ndarray) -> None:
-        def fill(first, stop, rows):
-            rows[...] = field[first:stop]
-
-        def drain(first, stop, rows):
-            out[first:stop] = rows
-
-        grid.convolve(fill, compliance, drain)
+    grid, heights, mean_pressure = problem.grid, problem.heights, problem.mean_pressure
+    compliance = problem.solid.apply_compliance(grid, np.float64, 1 / grid.size)
 
     load = mean_pressure * grid.size
     p = np.full(grid.local_shape, mean_pressure)
     direction, gap, response = np.zeros_like(p), np.empty_like(p), np.empty_like(p)
     old, conjugate = 1.0, False
     for _ in range(most):
-        apply(p, gap)
+        grid.convolve(source(p), compliance, sink(gap))
         gap -= heights
         gap -= _mean_in_contact(p, gap)
         squared = _turn(p, gap, direction, conjugate, old)
         old = squared
-        apply(direction, response)
+        grid.convolve(source(direction), compliance, sink(response))
         step = _step(p, gap, direction, response, _mean_in_contact(p, response))
         total, conjugate = _move(p, gap, direction, step)
         p *= load / total

@@ -7,6 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.observables.contact import Contact
+from pgfmd.observables.rough_surface import RoughSurface
+from pgfmd.parallel.mpi import ALONE
+from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
+from pgfmd.surfaces.self_affine import self_affine
+
+from .case import RMS_SLOPE, SEED, hard_contact
+
 HURST, RATIO, PRESSURE, LENGTH = 0.3, 32, 0.0032, 1024.0  # λ_l/λ_s and the cell; the surface of PHYSICS section 6
 REFINEMENTS = (2, 4, 8, 16, 32, 128)  # points per λ_s; the last one is the reference
 COLUMNS = ("points_per_lambda_s", "n", "area_raw", "area_corrected", "mean_gap", "second_moment", "energy")
@@ -29,24 +38,10 @@ def main(folder: Path) -> None:
 
 
 def _solve(refinement: int) -> tuple:
-    from mpi4py import MPI
-
-    from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.observables.contact import Contact
-    from pgfmd.observables.rough_surface import RoughSurface
-    from pgfmd.physics.laws.hard import HardWall
-    from pgfmd.physics.problem import ContactProblem
-    from pgfmd.physics.solids.homogeneous import Homogeneous
-    from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
-    from pgfmd.surfaces.self_affine import self_affine
-
-    from .case import CONTACT_MODULUS, RMS_SLOPE, SEED
-
     n = RATIO * refinement
-    grid = SlabGrid(MPI.COMM_SELF, (n, n), (LENGTH, LENGTH))
+    grid = SlabGrid(ALONE, (n, n), (LENGTH, LENGTH))
     heights = self_affine(grid, HURST, LENGTH / RATIO, RMS_SLOPE, SEED)
-    solid = Homogeneous(contact_modulus=CONTACT_MODULUS)
-    problem = ContactProblem(grid, heights, solid, HardWall(), PRESSURE)
+    problem = hard_contact(grid, heights, PRESSURE)
     solution = solve_hard_wall(problem, 1e-9)
     area = Contact.of(RoughSurface(problem), solution).area
     second = float(np.mean(solution.pressure**2)) / PRESSURE**2

@@ -19,7 +19,13 @@ from pathlib import Path
 import error_bars
 import numpy as np
 
-from .case import CONTACT_MODULUS, RMS_SLOPE, Case, launch
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.observables.contact_area import contact_area, contact_line
+from pgfmd.parallel.mpi import ALONE
+from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
+from pgfmd.surfaces.self_affine import self_affine
+
+from .case import CONTACT_MODULUS, RMS_SLOPE, Case, hard_contact, launch
 from .methods import LADDERS, METHODS, PEERS
 from .recorder import EnoughError, Recorder
 from .worker import TIGHTEST, TOLERANCES, warm_up
@@ -75,18 +81,9 @@ class AreaRecorder(Recorder):
 
 def _ours(case: Case, heights, mean_pressure, recorder: AreaRecorder, tolerance: float, threads: int) -> None:
     """A solution and its contact line, from nothing."""
-    from mpi4py import MPI
-
-    from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.observables.contact_area import contact_area, contact_line
-    from pgfmd.physics.laws.hard import HardWall
-    from pgfmd.physics.problem import ContactProblem
-    from pgfmd.physics.solids.homogeneous import Homogeneous
-    from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
-
     recorder.start()
-    grid = SlabGrid(MPI.COMM_SELF, (case.n, case.n), threads=threads)
-    problem = ContactProblem(grid, heights, Homogeneous(contact_modulus=CONTACT_MODULUS), HardWall(), mean_pressure)
+    grid = SlabGrid(ALONE, (case.n, case.n), threads=threads)
+    problem = hard_contact(grid, heights, mean_pressure)
     solution = solve_hard_wall(problem, tolerance)
     line = contact_line(grid, solution.pressure, solution.gap, problem.solid)
     area = contact_area(grid, solution.pressure, line).corrected
@@ -115,12 +112,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 def _heights(case: Case, seed: int) -> np.ndarray:
     """The surface (n, n) in grid spacings: one seed is one surface on any grid."""
-    from mpi4py import MPI
-
-    from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.surfaces.self_affine import self_affine
-
-    return self_affine(SlabGrid(MPI.COMM_SELF, (case.n, case.n)), case.hurst, case.lambda_s, RMS_SLOPE, seed)
+    return self_affine(SlabGrid(ALONE, (case.n, case.n)), case.hurst, case.lambda_s, RMS_SLOPE, seed)
 
 
 def total(folder: Path, surface: tuple[float, int], plan: list, budget: float, clock: str) -> None:

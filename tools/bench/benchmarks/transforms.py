@@ -13,6 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.grid.transforms import sink, source
+from pgfmd.parallel.collectives import slab
+from pgfmd.parallel.mpi import world
+
 from .case import launch
 
 KINDS = (np.float32, np.float64)
@@ -79,20 +84,10 @@ def _print(best: dict[tuple, float], n: int) -> None:
 
 
 def _pgfmd(n: int, kind, threads: int, field: np.ndarray):
-    from mpi4py import MPI
-
-    from pgfmd.grid.slab_grid import SlabGrid
-
-    grid = SlabGrid(MPI.COMM_WORLD, (n, n), threads=threads)
-
-    def fill(first, stop, rows):
-        rows[...] = field[first:stop]
-
-    def drain(first, stop, rows):
-        field[first:stop] = rows
+    grid = SlabGrid(world(), (n, n), threads=threads)
 
     def pair():
-        grid.convolve(fill, lambda block, first, stop: None, drain, kind)
+        grid.convolve(source(field), lambda block, first, stop: None, sink(field), kind)
         return field
 
     grid.transform(kind)
@@ -134,10 +129,9 @@ def _scipy(n: int, kind, threads: int, field: np.ndarray):
 
 
 def _pfft(n: int, kind, threads: int, field: np.ndarray):
-    from mpi4py import MPI
     from mpi4py_fft import PFFT
 
-    transform = PFFT(MPI.COMM_WORLD, (n, n), axes=(0, 1), dtype=kind)
+    transform = PFFT(world(), (n, n), axes=(0, 1), dtype=kind)
     transform.forward.input_array[...] = field
 
     def pair():
@@ -148,11 +142,7 @@ def _pfft(n: int, kind, threads: int, field: np.ndarray):
 
 
 def _measure(name: str, threads: int, n: int) -> dict[str, float]:
-    from mpi4py import MPI
-
-    from pgfmd.parallel.collectives import slab
-
-    comm = MPI.COMM_WORLD
+    comm = world()
     rows = slab(n, comm.size, comm.rank)
     makers = {"pgfmd": _pgfmd, "pyFFTW": _pyfftw, "MKL": _mkl, "scipy": _scipy, "PFFT": _pfft}
     seconds = {}
@@ -173,7 +163,5 @@ def _measure(name: str, threads: int, n: int) -> dict[str, float]:
 
 if __name__ == "__main__":
     result = _measure(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]))
-    from mpi4py import MPI
-
-    if MPI.COMM_WORLD.rank == 0:
+    if world().rank == 0:
         print(json.dumps(result))

@@ -14,6 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
+import pgfmd
+from pgfmd.parallel.collectives import slab
+from pgfmd.parallel.mpi import world
+
 from .case import CONTACT_MODULUS, RMS_SLOPE, Case, prepare
 from .methods import METHODS
 from .recorder import Recorder
@@ -40,11 +44,7 @@ def main(arguments: list[str] | None = None) -> None:
 def _measure(job: dict, case: Case, folder: Path) -> None:
     comm, rows = None, slice(None)
     if job["method"].startswith("pgfmd"):
-        from mpi4py import MPI
-
-        from pgfmd.parallel.collectives import slab
-
-        comm = MPI.COMM_WORLD
+        comm = world()
         rows = slab(case.n, comm.size, comm.rank)
     method = METHODS[job["method"]]
     warm_up(method, job, comm)
@@ -69,8 +69,6 @@ def certified(heights, reference, pressure, comm=None) -> tuple[float, float]:
     """The bound of a pressure's energy error by `pgfmd.certify`, and J(p) − J(p*) = ½⟨d, Gd⟩ + ⟨g*, d⟩ with d = p − p*,
     p* the reference and g* its gap, both over 2 E_el; the second is NaN on several ranks.  Collective.
     """
-    import pgfmd
-
     load = {"mean_pressure": mean(reference, comm), "contact_modulus": CONTACT_MODULUS, "comm": comm}
     found = pgfmd.certify(heights, pressure, **load)
     if comm is not None and comm.size > 1:
@@ -99,8 +97,6 @@ def warm_up(method, job: dict, comm) -> None:
     heights *= slope / np.sqrt(np.mean(np.gradient(heights)[0] ** 2) * 2)
     rows = slice(None)
     if comm is not None:
-        from pgfmd.parallel.collectives import slab
-
         rows = slab(n, comm.size, comm.rank)
     slice_ = np.ascontiguousarray(heights[rows])
     recorder = Recorder(np.ones_like(slice_), comm, budget=1.0)
