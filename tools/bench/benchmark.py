@@ -19,7 +19,6 @@ core, `report --clock cpu` says more.
 from __future__ import annotations
 
 import argparse
-import csv
 import dataclasses
 import importlib.util
 import itertools
@@ -30,6 +29,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import csv_rows
+from benchmarks import cores, counts, ratios, resolution, total_error, transforms
 from benchmarks.case import Case, launch
 from benchmarks.methods import PEERS
 
@@ -83,43 +84,32 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     options.folder.mkdir(parents=True, exist_ok=True)
     (options.folder / "machine.txt").write_text(describe_machine() + "\n")
+    sizes = options.n or [4096]
     if options.what == "run":
         measure(options)
     elif options.what == "resolution":
-        from benchmarks.resolution import main as resolution
-
-        resolution(options.folder)
+        resolution.main(options.folder)
     elif options.what == "transforms":
-        from benchmarks.transforms import main as transforms
-
-        for n in options.n or [4096]:
-            transforms(options.folder, n)
+        for n in sizes:
+            transforms.main(options.folder, n)
     elif options.what == "cores":
-        from benchmarks.cores import main as cores
-
         for n, hurst, length, area in itertools.product(
-            options.n or [4096], options.hurst, options.lambda_s or ["n/64"], options.area
+            sizes, options.hurst, options.lambda_s or ["n/64"], options.area
         ):
-            cores(options.folder, n, hurst, _wavelength(length, n), area, options.tolerance or 1e-4, options.repeat)
+            case = (n, hurst, _wavelength(length, n), area, options.tolerance or 1e-4)
+            cores.main(options.folder, case, options.repeat)
     elif options.what == "counts":
-        from benchmarks.counts import counts
-
-        for n, length in itertools.product(options.n or [4096], options.lambda_s or ["16"]):
+        for n, length in itertools.product(sizes, options.lambda_s or ["16"]):
             case = {"n": [n], "lambda_s": [_wavelength(length, n)], "hurst": options.hurst, "area": options.area}
             more = {"seed": options.seeds, "tolerance": [options.tolerance or 1e-8], "ranks": options.ranks}
-            more["method"] = options.methods or ["pgfmd"]
-            counts(options.folder, case | more)
+            counts.main(options.folder, case | more | {"method": options.methods or ["pgfmd"]})
     elif options.what == "total":
-        from benchmarks.total_error import total
-
         peers = ("pgfmd", "ASPHER", "tamaas", "ContactMechanics")
         plan = [p[:2] for p in PLAN if p[2:] == (1, 1) and p[0] in (options.methods or peers)]
         for surface in itertools.product(options.hurst, options.across):
-            total(options.folder, surface, plan, options.budget, options.clock)
-    if options.what not in ("transforms", "cores", "counts", "total"):
-        from benchmarks.ratios import report
-
-        report(options.folder, options.clock)
+            total_error.total(options.folder, surface, plan, options.budget, options.clock)
+    if options.what in ("run", "resolution", "report"):
+        ratios.report(options.folder, options.clock)
     return 0
 
 
@@ -178,7 +168,7 @@ def _one(options, case: Case, step, repeat: int) -> bool:
         for number, point in enumerate(run["points"]):
             extra = {"tolerance": run["tolerance"], "point": number, "truncated": int(run["truncated"])}
             rows.append(known | point | extra)
-    _append(options.folder / "runs.csv", rows or [known | {"truncated": 1}])
+    csv_rows.append(options.folder / "runs.csv", COLUMNS, rows or [known | {"truncated": 1}])
     best = min((row["pressure_error"] for row in rows), default=float("inf"))
     slowest = max((row["seconds"] for row in rows), default=0.0)
     name = " ".join(filter(None, _key(step)[:2]))
@@ -204,28 +194,15 @@ def _start(job: dict, ranks: int, threads: int, timeout: float | None) -> bool:
     return True
 
 
-def _append(path: Path, rows: list[dict]) -> None:
-    fresh = not path.exists()
-    with open(path, "a", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS, restval="")
-        if fresh:
-            writer.writeheader()
-        for row in rows:
-            writer.writerow({key: f"{value:.6g}" if isinstance(value, float) else value for key, value in row.items()})
-
-
 def _done(folder: Path) -> set[tuple]:
-    path = folder / "runs.csv"
-    if not path.exists():
-        return set()
-    with open(path, newline="") as file:
-        return {
-            (
-                Case(int(row["n"]), float(row["hurst"]), float(row["lambda_s"]), float(row["area"])).name,
-                *(row["method"], row["setting"], int(row["ranks"]), int(row["threads"]), int(row["repeat"])),
-            )
-            for row in csv.DictReader(file)
-        }
+    """Case, method and repeat of each run in the table."""
+    return {
+        (
+            Case(int(row["n"]), float(row["hurst"]), float(row["lambda_s"]), float(row["area"])).name,
+            *(row["method"], row["setting"], int(row["ranks"]), int(row["threads"]), int(row["repeat"])),
+        )
+        for row in csv_rows.read(folder / "runs.csv")
+    }
 
 
 def describe_machine() -> str:

@@ -22,13 +22,13 @@ random error of 64a.
 from __future__ import annotations
 
 import argparse
-import csv
 import math
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import csv_rows
 import numpy as np
 from scipy.ndimage import fourier_shift
 from scipy.special import erfinv
@@ -91,18 +91,15 @@ def held(path: Path, seed: int, count: int, anew: bool) -> None:
     seed: of all draws; contact k of one seed is the same whatever the count.  anew: bars of the other rows too
     """
     columns = [*DRAWN, *MEASURED, *(f"{name}{what}" for name in NUMBERS for what in ("", "_error", "_true"))]
-    known = {int(row["number"]): row for row in _table(path)} if path.exists() else {}
+    known = {int(row["number"]): row for row in csv_rows.read(path)}
     target = path.with_suffix(".part") if anew else path
-    if anew or not known:
-        target.write_text(",".join(columns) + "\n")
+    if anew:
+        target.unlink(missing_ok=True)
     for number in sorted({*range(count), *known}):
         if anew or number not in known:
-            row = _drawn(seed, number, known.get(number))
-            with open(target, "a", newline="") as file:
-                texts = [f"{value:.8g}" if isinstance(value, float) else value for value in row.values()]
-                csv.writer(file).writerow(texts)
+            csv_rows.append(target, columns, [_drawn(seed, number, known.get(number))], digits=8)
     target.replace(path)
-    rows = [row for row in _table(path) if int(row["number"]) < count]
+    rows = [row for row in csv_rows.read(path) if int(row["number"]) < count]
     kinds = {
         "all": rows,
         "line": [row for row in rows if float(row["line"])],
@@ -164,11 +161,6 @@ def _numbers(contact: Contact) -> dict[str, float]:
     return contact.numbers | {"mean_square_pressure": float(np.mean(contact.pressure**2))}
 
 
-def _table(path: Path) -> list[dict[str, str]]:
-    with open(path, newline="") as file:
-        return list(csv.DictReader(file))
-
-
 COLUMNS = "hurst area seed across points places contact_area contact_area_corrected".split()
 FIRST = 16  # λ_s/a of the coarsest grid of the fit, which has three grids at least
 Rows = dict[tuple[float, ...], tuple[float, float]]  # (raw, inside the line) by the other columns
@@ -177,19 +169,15 @@ Rows = dict[tuple[float, ...], tuple[float, float]]  # (raw, inside the line) by
 def area(path: Path, first: Case, finest: int, places: int, only: tuple[float, float] | None) -> None:
     """Computes missing rows of the table, prints the mean errors of its areas.  first: its seed and `across` count."""
     grids = [4 << power for power in range(int(math.log2(finest)) - 1)]
-    if not path.exists():
-        path.write_text(",".join(COLUMNS) + "\n")
     rows, seeds = _rows(path), range(first.seed, first.seed + 4)
     chosen = [(hurst, aim, load) for hurst, aim, load in cases() if only in (None, (hurst, aim))]
     for hurst, aim, load in chosen:
         for seed in seeds:
             for points in grids:
                 if (hurst, aim, seed, first.across, points, places) not in rows:
-                    case = replace(first, hurst=hurst, load=load, seed=seed)
-                    areas = _areas(case, points, places)
-                    with open(path, "a", newline="") as file:
-                        values = (f"{value:.10g}" for value in areas)
-                        csv.writer(file).writerow([hurst, aim, seed, first.across, points, places, *values])
+                    areas = _areas(replace(first, hurst=hurst, load=load, seed=seed), points, places)
+                    row = (hurst, aim, seed, first.across, points, places, *areas)
+                    csv_rows.append(path, COLUMNS, [dict(zip(COLUMNS, row, strict=True))], digits=10)
     rows = _rows(path)
     print("  H   area   " + "".join(f"{f'raw {points}a':>10s}" for points in grids)
           + "".join(f"{f'line {points}a':>10s}" for points in grids) + "   limit ±   (per cent)")  # fmt: skip
@@ -225,7 +213,7 @@ def _limit(rows: Rows, key: tuple[float, ...]) -> float:
 
 
 def _rows(path: Path) -> Rows:
-    table = [tuple(float(row[name]) for name in COLUMNS) for row in _table(path)]
+    table = [tuple(float(row[name]) for name in COLUMNS) for row in csv_rows.read(path)]
     return {row[:6]: (row[6], row[7]) for row in table}
 
 

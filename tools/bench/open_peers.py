@@ -16,13 +16,13 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import csv
 import math
 import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import csv_rows
 import numpy as np
 
 SIDE, SLOPE, ENOUGH = 512.0, 0.1, 1e-4
@@ -276,9 +276,8 @@ def main() -> int:
     parser.add_argument("--budget", type=float, default=600.0, help="seconds of processor time of one solution")
     parser.add_argument("--csv", type=Path, default=Path(__file__).parents[2] / "jobs" / "benchmark" / "open.csv")
     options = parser.parse_args()
-    keys, old = COLUMNS[:6], []
-    if options.csv.exists():
-        old = [tuple(row[key] for key in keys) for row in csv.DictReader(options.csv.open(newline=""))]
+    keys = COLUMNS[:6]
+    old = [tuple(row[key] for key in keys) for row in csv_rows.read(options.csv)]
     for surface in options.surfaces:
         for wanted in options.area if surface.split(":")[0] in ("rough", "tip") else [0.0]:
             for n in options.n:
@@ -287,7 +286,7 @@ def main() -> int:
                     for setting in options.settings if (options.part, program) == ("speed", "ASPHER") else [""]:
                         case = {"part": options.part, "n": n, "surface": surface, "load": load_of(surface, wanted)}
                         case |= {"program": program, "setting": setting}
-                        if tuple(_shown(case[key]) for key in keys) in old:
+                        if tuple(csv_rows.shown(case[key], 7) for key in keys) in old:
                             continue
                         heights = heights_of(surface, n) if heights is None else heights
                         if options.part == "speed":
@@ -296,22 +295,10 @@ def main() -> int:
                             row = speed(case, heights, program, setting, options.budget)
                         else:
                             row = PARTS[options.part](case, heights, program)
-                        _append(options.csv, case | row)
+                        row = case | row
+                        csv_rows.append(options.csv, COLUMNS, [row], digits=7)
+                        print(*(f"{name}={csv_rows.shown(value, 7)}" for name, value in row.items()), flush=True)
     return 0
-
-
-def _shown(value) -> str:
-    return f"{value:.7g}" if isinstance(value, float) else str(value)
-
-
-def _append(path: Path, row: dict) -> None:
-    fresh = not path.exists()
-    with path.open("a", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS, restval="")
-        if fresh:
-            writer.writeheader()
-        writer.writerow({name: _shown(value) for name, value in row.items()})
-    print(*(f"{name}={_shown(value)}" for name, value in row.items()), flush=True)
 
 
 if __name__ == "__main__":

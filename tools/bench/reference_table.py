@@ -17,7 +17,6 @@ Runs that are not complete are left out.
 from __future__ import annotations
 
 import argparse
-import csv
 import hashlib
 import json
 import math
@@ -26,6 +25,7 @@ import sys
 from collections import defaultdict
 from pathlib import Path
 
+import csv_rows
 import numpy as np
 from scipy import stats
 
@@ -139,15 +139,6 @@ def decision(rows: list[dict[str, float]], largest: float = 0.03) -> list[dict[s
             for name, value, error in zip(names, fit, errors, strict=True)]  # fmt: skip
 
 
-def write(path: Path, rows: list[dict[str, float]]) -> None:
-    """Rows as CSV, to six figures."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows({key: f"{value:.6g}" if isinstance(value, float) else value for key, value in row.items()}
-                         for row in rows)  # fmt: skip
-
-
 def main(arguments: list[str] | None = None) -> int:
     """The command line; 0, or 2 if there are no runs."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -160,7 +151,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"reference_table.py: error: {options.runs}: no complete runs of jobs/reference.sh", file=sys.stderr)
         return 2
     options.output.mkdir(parents=True, exist_ok=True)
-    write(options.output / "reference.csv", rows)
+    csv_rows.write(options.output / "reference.csv", rows, digits=6)
     digest = hashlib.sha256((options.output / "reference.csv").read_bytes()).hexdigest()
     about = {"columns": MEANING, "sha256": digest, "slope": SLOPE, "lambda_s": SHORTEST}
     text = json.dumps(about, ensure_ascii=False, indent=1) + "\n"
@@ -169,18 +160,16 @@ def main(arguments: list[str] | None = None) -> int:
     entries = json.dumps([{key: None if value != value else value for key, value in row.items()} for row in rows])
     (options.output / "reference.html").write_text(page.replace("/*ROWS*/[]", entries), encoding="utf-8")
     checked = check(found)
-    if checked:
-        write(options.output / "fine.csv", checked)
+    csv_rows.write(options.output / "fine.csv", checked, digits=6)
     for name in NUMBERS:
         largest = max(row[f"{name}_error"] / abs(row[name]) for row in rows)
         both = [row for row in checked if row["number"] == name]
         held = np.mean([abs(row["difference"]) <= row["error"] for row in both]) if both else math.nan
         print(f"{name}: stated error at most {largest:.2%}; it held in {held:.0%} of {len(both)} finer solutions")
     decided = decision(rows)
-    if decided:
-        write(options.output / "decision.csv", decided)
-        for row in decided:
-            print(f"κ: {row['quantity']}: {row['value']:.3f} ± {row['interval']:.3f}")
+    csv_rows.write(options.output / "decision.csv", decided, digits=6)
+    for row in decided:
+        print(f"κ: {row['quantity']}: {row['value']:.3f} ± {row['interval']:.3f}")
     return 0
 
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import sys
 from pathlib import Path
 from typing import NamedTuple
 
+import csv_rows
 import numpy as np
 
 from pgfmd.grid.grid_cost import holders
@@ -64,8 +64,7 @@ class Parts(NamedTuple):
 
 def growth_of(largest: int) -> dict[int, float]:
     """The growth of transforms to 1e-8 with n, on one rank, from `COUNTS`: λ_s = 16a, all H, areas and seeds there."""
-    with open(COUNTS, newline="") as file:
-        rows = [row for row in csv.DictReader(file) if row.items() >= CASES.items()]
+    rows = [row for row in csv_rows.read(COUNTS) if row.items() >= CASES.items()]
     of = {n: [float(row["transforms"]) for row in rows if int(row["n"]) == n] for n in {int(row["n"]) for row in rows}}
     here = np.mean([count for n, counts in of.items() if n <= max(largest, min(of)) for count in counts])
     return {n: float(np.mean(counts) / here) for n, counts in of.items()}
@@ -183,7 +182,7 @@ def draw(rows: list[dict], folder: Path) -> None:
     """The model and the runs, as CSV files, a picture, and text."""
     folder.mkdir(parents=True, exist_ok=True)
     checked = compare(rows)
-    _write(folder / "scaling-runs.csv", checked)
+    csv_rows.write(folder / "scaling-runs.csv", checked)
     for row in checked:
         print(f"{row['n']:6}² {row['ranks']:5} ranks here: {row['run']:.3g} s, model {row['model']:.3g} s; the busiest "
               f"computes {row['computed']:.3g} s, model {row['model computed']:.3g} s")  # fmt: skip
@@ -194,8 +193,8 @@ def draw_model(known: Parts, folder: Path) -> None:
     """The model of a solve on `ASSUMED`, and its constants, as CSV files, a picture, and words."""
     table = [_row(n, ranks, known) for n in (*STRONG, LARGEST) for ranks in RANKS if ranks <= n // 2]
     weak = [_row(round(WEAK * math.sqrt(ranks)), ranks, known) for ranks in RANKS[::2]]
-    _write(folder / "scaling-model.csv", table + [row | {"weak": 1} for row in weak if row["n"] <= LARGEST])
-    _write(folder / "scaling-parts.csv", _constants(known))
+    csv_rows.write(folder / "scaling-model.csv", table + [row | {"weak": 1} for row in weak if row["n"] <= LARGEST])
+    csv_rows.write(folder / "scaling-parts.csv", _constants(known))
     figure, axes = plt.subplots(1, 3, figsize=(PAGE, 2.6))
     for dashes, n in zip(("-", "--", "-.", ":"), (*STRONG, LARGEST), strict=True):
         mine = [row for row in table if row["n"] == n]
@@ -273,10 +272,3 @@ def _constants(known: Parts) -> list[dict]:
     ):
         table.append({"constant": what, "value": getattr(ASSUMED, name), "unit": unit, "from": assumed})
     return table
-
-
-def _write(path: Path, rows: list[dict]) -> None:
-    with open(path, "w", newline="") as file:
-        writer = csv.DictWriter(file, list(dict.fromkeys(name for row in rows for name in row)))
-        writer.writeheader()
-        writer.writerows(rows)

@@ -7,12 +7,13 @@ lost much time say little.
 
 from __future__ import annotations
 
-import csv
 import json
 import statistics
 import sys
 import time
 from pathlib import Path
+
+import csv_rows
 
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel.mpi import world
@@ -31,12 +32,13 @@ ASKED = {"two threads": 1.8, "two ranks": 1.7}
 COLUMNS = ("n", "hurst", "lambda_s", "area", "tolerance", "cores", "round", "seconds", "stolen")
 
 
-def main(folder: Path, n: int, hurst: float, lambda_s: float, area: float, tolerance: float, rounds: int) -> None:
-    """Measure all of PLAN in each round, append to DIR/cores.csv, and print a table of its rows of this case."""
-    case = (n, hurst, lambda_s, area, tolerance)
+def main(folder: Path, case: tuple[int, float, float, float, float], rounds: int) -> None:
+    """Measure all of PLAN in each round, append to DIR/cores.csv, and print a table of its rows of this case.
+
+    case: n, hurst, lambda_s, area, tolerance.
+    """
     path = folder / "cores.csv"
-    before = _rows(path)
-    number = 1 + max((int(row["round"]) for row in before), default=-1)
+    number = 1 + max((int(row["round"]) for row in csv_rows.read(path)), default=-1)
     for turn in range(number, number + rounds):
         for cores, (ranks, threads, copies) in PLAN.items():
             stolen, busy = _processor_times()
@@ -49,10 +51,10 @@ def main(folder: Path, n: int, hurst: float, lambda_s: float, area: float, toler
             found = [json.loads(output.strip().splitlines()[-1]) for (output, _), _ in ended]
             share = f"{stolen / busy:.3f}" if busy else ""
             seconds = [max(each) for each in zip(*found, strict=True)]
-            _append(path, [(*case, cores, turn, f"{value:.4f}", share) for value in seconds])
+            rows = [(*case, cores, turn, f"{value:.4f}", share) for value in seconds]
+            csv_rows.append(path, COLUMNS, [dict(zip(COLUMNS, row, strict=True)) for row in rows], digits=0)
             print(f"  {cores:12} {' '.join(f'{value:.2f}' for value in seconds)} s, stolen {share}", flush=True)
-    mine = [row for row in _rows(path) if tuple(float(row[name]) for name in COLUMNS[:5]) == tuple(map(float, case))]
-    _print(mine)
+    _print([row for row in csv_rows.read(path) if tuple(float(row[name]) for name in COLUMNS[:5]) == case])
 
 
 def _print(rows: list[dict]) -> None:
@@ -66,22 +68,6 @@ def _print(rows: list[dict]) -> None:
             f"{cores:12} {min(seconds):8.2f} {statistics.median(seconds):8.2f}         "
             f"{gains[0]:6.2f} {gains[1]:8.2f}  {wanted}"
         )
-
-
-def _append(path: Path, rows: list[tuple]) -> None:
-    fresh = not path.exists()
-    with open(path, "a", newline="") as file:
-        writer = csv.writer(file)
-        if fresh:
-            writer.writerow(COLUMNS)
-        writer.writerows(rows)
-
-
-def _rows(path: Path) -> list[dict]:
-    if not path.exists():
-        return []
-    with open(path, newline="") as file:
-        return list(csv.DictReader(file))
 
 
 def _processor_times() -> tuple[int, int]:

@@ -10,7 +10,6 @@ layer 0.05" on a layer that is 1000 times as stiff as its base; "pgfmd open" on 
 
 from __future__ import annotations
 
-import csv
 import itertools
 import json
 import math
@@ -19,6 +18,7 @@ import sys
 import time
 from pathlib import Path
 
+import csv_rows
 import numpy as np
 from scipy.special import erfinv
 
@@ -44,29 +44,18 @@ RMS_SLOPE = 0.1
 WARM_UP = {"n": 512, "lambda_s": 4.0, "hurst": 0.8, "seed": 1, "tolerance": 1e-8}
 
 
-def counts(folder: Path, cases: dict[str, list]) -> None:
+def main(folder: Path, cases: dict[str, list]) -> None:
     """Solve each combination of the values of `KEYS` that DIR/counts.csv does not have, and append its row."""
     path = folder / "counts.csv"
-    fresh = not path.exists()
-    with open(path, "a+", newline="") as file:
-        file.seek(0)
-        done = {tuple(row[key] for key in KEYS) for row in csv.DictReader(file)}
-        writer = csv.DictWriter(file, (*KEYS, *MEASURED))
-        if fresh:
-            writer.writeheader()
-        for values in itertools.product(*(cases[key] for key in KEYS)):
-            case = dict(zip(KEYS, values, strict=True))
-            if tuple(map(_shown, values)) in done:
-                continue
-            output, errors = launch("counts", [json.dumps(case)], case["ranks"], 1).communicate()
-            row = json.loads(output.strip().splitlines()[-1]) if output.strip() else {"errors": errors.strip()[-200:]}
-            writer.writerow({name: _shown(value) for name, value in (case | row).items()})
-            file.flush()
-            print(*(f"{name}={_shown(value)}" for name, value in (case | row).items()), flush=True)
-
-
-def _shown(value) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    done = {tuple(row[key] for key in KEYS) for row in csv_rows.read(path)}
+    for values in itertools.product(*(cases[key] for key in KEYS)):
+        case = dict(zip(KEYS, values, strict=True))
+        if tuple(map(csv_rows.shown, values)) in done:
+            continue
+        output, errors = launch("counts", [json.dumps(case)], case["ranks"], 1).communicate()
+        row = json.loads(output.strip().splitlines()[-1]) if output.strip() else {"errors": errors.strip()[-200:]}
+        csv_rows.append(path, (*KEYS, *MEASURED), [case | row])
+        print(*(f"{name}={csv_rows.shown(value)}" for name, value in (case | row).items()), flush=True)
 
 
 def pressure_of(area: float) -> float:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
+
+import csv_rows
 
 from .case import Case
 
@@ -96,8 +97,7 @@ def _title(case: tuple) -> str:
 
 
 def _resolution(axes, table: Path) -> None:
-    with open(table, newline="") as file:
-        *rows, limit = [{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)]
+    *rows, limit = [{key: float(value) for key, value in row.items()} for row in csv_rows.read(table)]
     shown = {
         "area_raw": ("contact area, raw", "#D55E00", "o", "area_corrected"),
         "area_corrected": ("contact area, corrected", "#0072B2", "s", "area_corrected"),

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections import defaultdict
 from pathlib import Path
 
+import csv_rows
+
+from .pictures import draw, overview
 from .recorder import LEVELS
 
 OURS = "pgfmd"
@@ -31,18 +33,17 @@ def load(folder: Path, clock: str = "seconds") -> dict[tuple, dict[tuple, list[d
     With clock = "cpu" the processor time stands for the seconds.
     """
     best: dict[tuple, dict] = {}
-    with open(folder / "runs.csv", newline="") as file:
-        for row in csv.DictReader(file):
-            if not row["seconds"]:
-                continue
-            case = (int(row["n"]), float(row["hurst"]), float(row["lambda_s"]), float(row["area"]))
-            curve = (row["method"], row["setting"], int(row["ranks"]), int(row["threads"]))
-            key = (case, curve, float(row["tolerance"]), int(row["point"]))
-            numbers = "seconds cpu transforms pressure_error area_error mean_pressure certified_error energy_error"
-            point = {name: float(row.get(name) or math.nan) for name in numbers.split()}
-            point["seconds"] = point[clock]
-            if key not in best or point["seconds"] < best[key]["seconds"]:
-                best[key] = point
+    for row in csv_rows.read(folder / "runs.csv"):
+        if not row["seconds"]:
+            continue
+        case = (int(row["n"]), float(row["hurst"]), float(row["lambda_s"]), float(row["area"]))
+        curve = (row["method"], row["setting"], int(row["ranks"]), int(row["threads"]))
+        key = (case, curve, float(row["tolerance"]), int(row["point"]))
+        numbers = "seconds cpu transforms pressure_error area_error mean_pressure certified_error energy_error"
+        point = {name: float(row.get(name) or math.nan) for name in numbers.split()}
+        point["seconds"] = point[clock]
+        if key not in best or point["seconds"] < best[key]["seconds"]:
+            best[key] = point
     cases: dict[tuple, dict[tuple, list[dict]]] = defaultdict(lambda: defaultdict(list))
     for (case, curve, *_), point in sorted(best.items(), key=lambda item: (item[0][0], -item[0][2], item[0][3])):
         cases[case][curve].append(point)
@@ -98,18 +99,16 @@ def report(folder: Path, clock: str = "seconds") -> None:
     cases = load(folder, clock)
     print((folder / "machine.txt").read_text().strip())
     ratios = list(_ratios(cases))
-    _write(folder / "ratios.csv", ratios)
+    csv_rows.write(folder / "ratios.csv", ratios, digits=5)
     _print_ratios(ratios)
     costs = list(_costs(cases))
-    _write(folder / "costs.csv", costs)
+    csv_rows.write(folder / "costs.csv", costs, digits=5)
     print("\nTransform equivalents (coarse grids included) and seconds of this solver")
     print(f"{HEAD} {'cores':>6} {'error':>6} {'transf.':>8} {'seconds':>8} {'speed-up':>8}")
     for row in costs:
         cores = f"{row['ranks']}r × {row['threads']}t"
         numbers = f"{row['transforms']:8.1f} {row['seconds']:8.3f} {row['speedup']:8.2f}"
         print(f"{_start(row)} {cores} {row['error']:6.0e} {numbers}")
-    from .pictures import draw, overview
-
     draw(folder, cases, clock)
     overview(folder, cases, clock)
 
@@ -161,11 +160,3 @@ def _costs(cases):
                 row = dict(zip(CASE, case, strict=True)) | {"ranks": key[2], "threads": key[3], "error": error}
                 row |= {"transforms": cost(points, error, "transforms", between=False), "seconds": seconds}
                 yield row | {"speedup": alone / seconds if math.isfinite(seconds) else math.nan}
-
-
-def _write(path: Path, rows: list[dict]) -> None:
-    if rows:
-        with open(path, "w", newline="") as file:
-            writer = csv.DictWriter(file, rows[0])
-            writer.writeheader()
-            writer.writerows({k: f"{v:.5g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)

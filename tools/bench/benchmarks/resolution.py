@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
+import csv_rows
 import numpy as np
 
 from pgfmd.grid.slab_grid import SlabGrid
@@ -24,10 +24,7 @@ COLUMNS = ("points_per_lambda_s", "n", "area_raw", "area_corrected", "mean_gap",
 def main(folder: Path) -> None:
     """Solve on all grids, print the errors, write DIR/resolution.csv and draw."""
     rows = [_solve(refinement) for refinement in REFINEMENTS]
-    with open(folder / "resolution.csv", "w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(COLUMNS)
-        writer.writerows([f"{value:.8g}" for value in row] for row in rows)
+    csv_rows.write(folder / "resolution.csv", [dict(zip(COLUMNS, row, strict=True)) for row in rows], digits=8)
     print(f"\nRelative discretisation error, H = {HURST:g}, lambda_l = {RATIO} lambda_s, load {PRESSURE:g}")
     print("".join(f"{name:>20}" for name in COLUMNS))
     *coarser, limit = rows

@@ -8,7 +8,6 @@ doi:10.1016/j.triboint.2017.04.023), whose time is not counted.  `python -m benc
 from __future__ import annotations
 
 import contextlib
-import csv
 import importlib.util
 import json
 import math
@@ -16,6 +15,7 @@ import sys
 import time
 from pathlib import Path
 
+import csv_rows
 import error_bars
 import numpy as np
 
@@ -127,8 +127,6 @@ def total(folder: Path, surface: tuple[float, int], plan: list, budget: float, c
     error_bars.area(folder / "area.csv", first, LARGEST // across, 1, (hurst, AREA))
     limits = {seed: error_bars.limit(folder / "area.csv", (hurst, AREA, seed, across)) for seed in SEEDS}
     path = folder / "total.csv"
-    if not path.exists():
-        path.write_text(",".join(COLUMNS) + "\n")
     for method, setting in plan:
         if method in PEERS and importlib.util.find_spec(PEERS[method]) is None:
             print(f"{method} is not installed: left out")
@@ -158,17 +156,15 @@ def _row(path: Path, job: dict) -> dict:
     if process.returncode:
         raise SystemExit(f"{job['method']} failed:\n{errors[-1500:]}")
     row = job | json.loads(output.splitlines()[-1]) | {"setting": name}
-    with open(path, "a", newline="") as file:
-        csv.writer(file).writerow([f"{row[key]:.6g}" if isinstance(row[key], float) else row[key] for key in COLUMNS])
+    csv_rows.append(path, COLUMNS, [{key: row[key] for key in COLUMNS}])
     print("  {method:17s} {setting:26s} {points:3d} points per λ_s, seed {seed}: error {error:8.4f} in {seconds:.3f} s"
           " ({cpu:.3f} s processor time)".format(**row), flush=True)  # fmt: skip
     return row
 
 
 def _rows(path: Path) -> list[dict]:
-    with open(path, newline="") as file:
-        return [{key: value if key in ("method", "setting") else float(value) for key, value in row.items()}
-                for row in csv.DictReader(file)]  # fmt: skip
+    return [{key: value if key in ("method", "setting") else float(value) for key, value in row.items()}
+            for row in csv_rows.read(path)]  # fmt: skip
 
 
 def _best(path: Path, surface: tuple[float, int], clock: str) -> dict[str, tuple[float, float, float, str]]:

@@ -1,0 +1,37 @@
+"""Tables of measurements: rows as dicts, in CSV files."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+
+def read(path: Path) -> list[dict[str, str]]:
+    """The rows of a file; none if there is no file."""
+    if not path.exists():
+        return []
+    with open(path, newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def write(path: Path, rows: Sequence[Mapping], digits: int = 0) -> None:
+    """Write a file, unless there are no rows; its columns are those of any row.  digits: of each float; 0: all."""
+    if rows:
+        path.unlink(missing_ok=True)
+        append(path, list(dict.fromkeys(name for row in rows for name in row)), rows, digits)
+
+
+def append(path: Path, columns: Sequence[str], rows: Iterable[Mapping], digits: int = 6) -> None:
+    """Add rows to a file, which begins with its columns; what a row lacks is left empty."""
+    fresh = not path.exists()
+    with open(path, "a", newline="", encoding="utf-8") as file:
+        table = csv.DictWriter(file, columns, restval="", lineterminator="\n")
+        if fresh:
+            table.writeheader()
+        table.writerows({name: shown(value, digits) for name, value in row.items()} for row in rows)
+
+
+def shown(value: object, digits: int = 6) -> str:
+    """A value as it stands in a table."""
+    return f"{value:.{digits}g}" if digits and isinstance(value, float) else str(value)
