@@ -1,7 +1,6 @@
 """The numbers behind the contact line between pixels.
 
     python tools/bench/contact_line.py constant  # area per pixel edge: `theory.lattice_edge.STAIRCASE`
-    python tools/bench/contact_line.py directions  # δ and the area per pixel edge by direction
     python tools/bench/contact_line.py limit  # `observables.contact_area.LARGEST_RATIO`, on exact waves (minutes)
 """
 
@@ -14,7 +13,15 @@ import sys
 
 import numpy as np
 
-from pgfmd.theory.lattice_edge import STAIRCASE, lattice_edge
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.observables.contact_area import LARGEST_RATIO, contact_line
+from pgfmd.parallel.mpi import ALONE
+from pgfmd.physics.laws.hard import HardWall
+from pgfmd.physics.problem import ContactProblem
+from pgfmd.physics.solids.homogeneous import Homogeneous
+from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
+from pgfmd.surfaces.rigid_surface import coordinates
+from pgfmd.theory.lattice_edge import STAIRCASE
 
 ZONES, POINTS = 30, 100  # of the sum over Brillouin zones, and of the quadrature in a quarter of each
 
@@ -44,29 +51,10 @@ def constant() -> None:
     print(f"in the code: {STAIRCASE}")
 
 
-def directions() -> None:
-    """Print δ for rational directions up to 45°."""
-    print("direction  angle      δ/a   δ/(|cos|+|sin|)")
-    for k, m in ((0, 1), (1, 32), (1, 16), (1, 8), (1, 4), (1, 3), (1, 2), (2, 3), (3, 4), (7, 8), (1, 1)):
-        edge = lattice_edge(m, k, points=1 << 16)
-        angle = math.degrees(math.atan2(k, m))
-        print(f"({m:2d},{k:2d})  {angle:8.2f}°  {edge.shift:.4f}  {edge.shift / sum(edge.normal):.4f}")
-
-
 def limit() -> None:
     """Print the rms error, in pixels, of the edges of exact waves for several bounds: all waves whose contacts and
     openings are at least one pixel wide.
     """
-    from mpi4py import MPI
-
-    from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.observables.contact_area import LARGEST_RATIO, contact_line
-    from pgfmd.physics.laws.hard import HardWall
-    from pgfmd.physics.problem import ContactProblem
-    from pgfmd.physics.solids.homogeneous import Homogeneous
-    from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
-    from pgfmd.surfaces.rigid_surface import coordinates
-
     bounds, rng = (2.0, 3.0, 5.0, 10.0, 30.0), np.random.default_rng(1)
     errors: dict[tuple[float, float], list[list[float]]] = {}
     solid = Homogeneous(contact_modulus=1.0)
@@ -74,7 +62,7 @@ def limit() -> None:
         for wavelength in (4, 6, 8, 12, 24):
             waves = max(1, round(40 / (wavelength * math.hypot(*direction))))
             n = round(wavelength * waves * math.hypot(*direction))
-            grid, number = SlabGrid(MPI.COMM_SELF, (n, n)), waves * math.hypot(*direction) / n
+            grid, number = SlabGrid(ALONE, (n, n)), waves * math.hypot(*direction) / n
             x, y = coordinates(grid)
             for fraction in (0.03, 0.1, 0.25, 0.5, 0.75, 0.9, 0.97):
                 width = 2 / math.pi * math.asin(math.sqrt(fraction)) / number
@@ -99,7 +87,7 @@ def limit() -> None:
 
 def main(arguments: list[str] | None = None) -> int:
     """The command line."""
-    commands = {"constant": constant, "directions": directions, "limit": limit}
+    commands = {"constant": constant, "limit": limit}
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=commands)
     commands[parser.parse_args(arguments).what]()
