@@ -782,6 +782,14 @@ def test_power_laws_and_levels_of_one_number_against_another(runs):
         figures.draw("dependence", [runs["seed1"]], of=["nothing"])
 
 
+def test_a_setting_without_a_number_keeps_the_colours_of_others(runs):
+    """Of two settings one has no second moment: the other's curves have one colour in both panels."""
+    sheet = figures.draw("dependence", [runs["kept"], runs["soft1"]], of=["mean_gap", "m2"])
+    (whole, _), (alone,) = (panel.lines for panel in sheet.panels)
+    assert alone.get_color() == whole.get_color() == plotting.style(0)["color"]
+    plotting.plt.close(sheet.figure)
+
+
 def test_a_report_takes_figures_of_which_it_has_no_runs(tmp_path):
     """From the committed folder, with the rows of their runs; a figure that is there stays."""
     plan = [report.Figure("A", "", "area_load", ("a-*",)), report.Figure("B", "", "area_load", ("b-*",))]

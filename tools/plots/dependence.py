@@ -162,7 +162,8 @@ def draw(
     """
     horizontal, drawn = quantity(on, loads), 0
     axes = list(dict.fromkeys(quantity(what, loads).axis for what in of))
-    sheet, names, ticks = Sheet(1, len(axes)), list(_curves(loads, horizontal)), set()
+    sheet, curves, ticks = Sheet(1, len(axes)), list(_curves(loads, horizontal).values()), set()
+    place_of = {load: number for number, groups in enumerate(curves) for group in groups for load in group}
     x = cache(horizontal.value)
     for what in of:
         vertical = quantity(what, loads)
@@ -181,8 +182,8 @@ def draw(
                 sheet.keep("data", ("of", "curve", "setting", "seed", on, f"mean {on}", "value"), *rows)
             # a setting has one colour; of two numbers of one axis, the second has open symbols
             turn = alike.index(what)
-            number = names.index(name) + len(names) * (turn // 2) if len(names) > 1 else turn
-            look = style(number, filled=len(names) == 1 or turn % 2 == 0)
+            number = place_of[groups[0].loads[0]] + len(curves) * (turn // 2) if len(curves) > 1 else turn
+            look = style(number, filled=len(curves) == 1 or turn % 2 == 0)
             if drawn < MOST * len(axes):
                 _draw(sheet, panel, title or what, points, (y, look, bool(fit)))
             ticks |= {place for place, _ in points}
@@ -203,7 +204,7 @@ def draw(
         sheet.notes.append(f"{drawn} curves; the first {MOST * len(axes)} are drawn, all are in the tables")
     positive = all(row[column] > 0 for row in sheet._table for column in (2, 3))
     for panel, axis in enumerate(axes):
-        _finish(sheet.panels[panel], (level, marks, expected), names)
+        _finish(sheet.panels[panel], (level, marks, expected), len(curves))
         title = f"|{axis}|" if fit else axis
         sheet.label(panel, horizontal.axis, title, scale=SCALES[positive], columns=2 if len(axes) == 1 else 4,
                     legend=len(axes) == 1 or panel == 0 and "figure")  # fmt: skip
@@ -213,7 +214,7 @@ def draw(
     return sheet
 
 
-def _finish(panel, lines: tuple[float | None, Sequence[float], Sequence[float]], names: list[str]):
+def _finish(panel, lines: tuple[float | None, Sequence[float], Sequence[float]], curves: int):
     """Draw the level, the marks, and the values expected of each curve or of all."""
     level, marks, expected = lines
     if level is not None:
@@ -221,7 +222,7 @@ def _finish(panel, lines: tuple[float | None, Sequence[float], Sequence[float]],
     for mark in marks:
         panel.axvline(mark, color=GREY, ls=":", lw=0.9)
     for number, value in enumerate(expected):
-        panel.axhline(value, color=style(number)["color"] if len(expected) == len(names) else BLACK, ls=":", lw=1.0)
+        panel.axhline(value, color=style(number)["color"] if len(expected) == curves else BLACK, ls=":", lw=1.0)
 
 
 SCALES = {True: "log", False: "semilogx"}
