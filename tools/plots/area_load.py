@@ -16,7 +16,7 @@ import numpy as np
 from choosing import NEEDS as TESTS
 from plotting import BLACK, GREY, Sheet, limited, standard_error, style
 from reading import Load
-from samples import Ensemble, ensembles
+from samples import Ensemble, by_run, ensembles
 
 from pgfmd.theory import asperity, persson
 from pgfmd.theory.surface import SpectralMoments
@@ -81,7 +81,7 @@ def columns(group: Ensemble) -> tuple[np.ndarray, ...]:
         same = [load for load in group if load.target == target]
         kappas = [load.corrected_area / reduced(load) for load in same]
         own = same[0].area_error if math.isfinite(same[0].area_error) else 0.0
-        errors = [standard_error([load.corrected_area for load in same]), standard_error(kappas)]
+        errors = (standard_error([load.corrected_area for load in same]), standard_error(kappas))
         bar, error = (own, own / reduced(same[0])) if len(same) == 1 else map(float, errors)
         means = [np.mean([value(load) for load in same]) for value in
                  (reduced, lambda load: load.area, lambda load: load.corrected_area)]  # fmt: skip
@@ -91,9 +91,8 @@ def columns(group: Ensemble) -> tuple[np.ndarray, ...]:
 
 def report(sheet: Sheet, group: Ensemble, areas: tuple[float, ...], name: str):
     """κ at each of the areas, interpolated for each seed; at the lowest load; and a table of all loads."""
-    runs: dict[object, list[Load]] = {}
+    runs = by_run(group)
     for load in group:
-        runs.setdefault(load.results.directory, []).append(load)
         sheet.keep("loads", ("setting", "seed", "mean_pressure", "modulus", "rms_slope", "area", "area_corrected"),
                    (name, load.seed, load.mean_pressure, load.modulus, load.rms_slope, load.area,
                     load.corrected_area))  # fmt: skip

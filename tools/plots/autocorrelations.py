@@ -39,13 +39,13 @@ def draw(loads: list[Load], area: float | None = None) -> Sheet:
     sheet.curve(0, x[drawn], below[drawn], r"$C_c$, lower bound", color=BLUE, ls="--")
     sheet.curve(0, x[drawn], 2 * below[drawn], r"$2\,C_c$, upper bound if $m_2$ = 2", color=BLUE, ls=":")
     sheet.curve(0, x[drawn], m2.mean() * below[drawn], r"$m_2 C_c$", color=BLUE, ls="-.")
-    sheet.curve(0, x[drawn], mean[drawn], r"$C_\sigma/\sigma_c^2$", error=_where(standard_error(stress), drawn),
+    sheet.curve(0, x[drawn], mean[drawn], r"$C_\sigma/\sigma_c^2$", error=standard_error(stress)[drawn],
                 color=RED, marker="o", ms=2)  # fmt: skip
     floor = np.full(np.count_nonzero(drawn), np.mean([load.area**2 for load in group]))
     sheet.curve(0, x[drawn], floor, r"$f_c^2$: no correlation", color=GREY, lw=0.8)
     sheet.label(0, r"$\Delta r\,/\,\lambda_s$", "autocorrelation", scale="log")
     sheet.curve(1, x[drawn], ratio.mean(axis=0)[drawn], "simulation", color=RED, marker="o", ms=2,
-                error=_where(standard_error(ratio), drawn))  # fmt: skip
+                error=standard_error(ratio)[drawn])  # fmt: skip
     bounds = (
         (1.0, "lower bound", "--"),
         (float(m2.mean()), f"$m_2$ = {m2.mean():.3f}", "-."),
@@ -94,10 +94,6 @@ def report(sheet: Sheet, group: list[Load], x: np.ndarray, ratio: np.ndarray, m2
 def _last_above(x: np.ndarray, row: np.ndarray, level: float) -> float:
     above = np.flatnonzero(row > level * (1 + 1e-9))
     return float(x[above[-1]]) if len(above) else 0.0
-
-
-def _where(error: np.ndarray | None, chosen: np.ndarray) -> np.ndarray | None:
-    return None if error is None else error[chosen]
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from choosing import near
 from estimators import broken_power_law, fit_power_law, goodness, tail_exponent
 from plotting import BLACK, BLUE, COLOURS, GREY, MARKERS, Finding, Sheet, guide
 from reading import Load
-from samples import ensembles
+from samples import by_run, ensembles
 
 from pgfmd.theory import bearing
 
@@ -48,9 +48,7 @@ def draw(loads: list[Load], areas: tuple[float, ...] = (), smallest: int = 16) -
         sheet.notes.append(f"one of {len(settings)} settings is drawn: {setting.label}")
     unit = setting.wavelengths[0] ** 2
     resolved = smallest * float(np.prod(setting.spacings)) / unit
-    runs: dict[object, list[Load]] = {}
-    for load in setting:
-        runs.setdefault(load.results.directory, []).append(load)
+    runs = by_run(setting)
     samples = [merged([patches(load) for load in run]) for run in runs.values()]
     everything = merged(samples)
     if len(everything[0]) == 0:

@@ -17,7 +17,7 @@ import numpy as np
 from area_load import reduced
 from plotting import Sheet, limited, standard_error, style
 from reading import Load
-from samples import Ensemble, ensembles
+from samples import Ensemble, by_run, ensembles
 
 from pgfmd.errors import InputError
 
@@ -52,8 +52,7 @@ def draw(loads: list[Load]) -> Sheet:
     sheet.label(0, r"$\bar p\,/\,(E'\bar g)$", r"$K\,/\,(E'q_l)$", scale="log", columns=4, legend="figure")
     sheet.label(1, r"$\bar p\,/\,(E'\bar g)$", r"$K h_\mathrm{rms}\,/\,\bar p$", scale="semilogx", legend=False)
     if not sheet.panels[1].has_data():
-        sheet.notes.append("no panel (b): no spectrum of the heights was kept")
-        sheet.drop(1)
+        sheet.drop(1, "no spectrum of the heights was kept")
     return sheet
 
 
@@ -70,10 +69,7 @@ def column(group: Ensemble, name: str) -> Points:
 
 def secants(group: Ensemble) -> Points:
     """−Δp̄/Δḡ between neighbouring loads of each run, at the geometric mean of their pressures."""
-    runs: dict[object, list[Load]] = {}
-    for load in group:
-        runs.setdefault(load.results.directory, []).append(load)
-    for run in runs.values():
+    for run in by_run(group).values():
         for low, high in pairwise(sorted(run, key=lambda load: load.mean_pressure)):
             closing = low.number("mean_gap") - high.number("mean_gap")
             if closing > 0:
@@ -88,8 +84,7 @@ def means(points: Points) -> Iterator[tuple[float, float, float, int]]:
         same.setdefault(key, []).append(tuple(values))
     for values in same.values():
         x, found, own = np.array(values).T
-        error = standard_error(found)
-        bar = float(own[0]) if error is None else float(error)
+        bar = float(own[0]) if len(found) == 1 else float(standard_error(found))
         yield float(x.mean()), float(found.mean()), bar if math.isfinite(bar) else 0.0, len(found)
 
 

@@ -38,8 +38,7 @@ def draw(loads: list[Load], areas: tuple[float, ...] = (), window: tuple[float, 
         mean, error = decay.mean(axis=0), standard_error(decay)
         shown = (r > 0) & (mean > 0)
         label = group.label or f"f_c = {group.mean('area'):.3g}"
-        sheet.curve(0, x[shown], mean[shown], label, error=None if error is None else error[shown], ls="none",
-                    **style(number))  # fmt: skip
+        sheet.curve(0, x[shown], mean[shown], label, error=error[shown], ls="none", **style(number))
         report(sheet, group, r, decay, window)
         inside = within(x, window) & shown
         if np.count_nonzero(inside) >= 3:

@@ -253,10 +253,9 @@ def _draw(sheet: Sheet, panel: int, name: str, points: list, what: tuple[Callabl
     """Means with errors, NaN for a single seed; where they are absolute, negative ones have open symbols."""
     y, look, absolute = what
     values = [[y(load) for load in group] for _, group in points]
-    errors = np.array([standard_error(each) for each in values], float)
+    errors = np.array([standard_error(each) for each in values])
     x, means = np.array([place for place, _ in points]), np.array([np.mean(each) for each in values])
-    sheet.curve(panel, x, np.abs(means) if absolute else means, name, error=None if np.isnan(errors).all() else errors,
-                lw=0.7, **look)  # fmt: skip
+    sheet.curve(panel, x, np.abs(means) if absolute else means, name, error=errors, lw=0.7, **look)
     if absolute and np.any(means < 0):
         sheet.curve(panel, x[means < 0], -means[means < 0], f"{name}, negative", label=False, ls="none", zorder=5,
                     **look | {"mfc": "white"})  # fmt: skip

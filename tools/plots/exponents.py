@@ -19,7 +19,7 @@ from choosing import near
 from estimators import fit_power_law, windows, within
 from plotting import BLACK, COLOURS, GREY, Finding, Sheet, style
 from reading import Load
-from samples import Ensemble, common_bins, ensembles
+from samples import Ensemble, by_run, common_bins, ensembles
 from stress_contact_spectra import ratio_of_means
 
 CAPTION = """(a) Stress (filled symbols) and contact spectra (open), scaled so that the sum of the contact's over all
@@ -88,11 +88,9 @@ def default_window(group: Ensemble) -> tuple[float, float]:
 
 def of_common_loads(group: Ensemble, sheet: Sheet) -> Ensemble:
     """The runs of a setting that have the most frequent list of loads, and of those all; others are named in a note."""
-    lists: dict[object, list] = {}
-    for load in group:
-        lists.setdefault(load.results.directory, []).append(load.target)
-    frequent = Counter(map(tuple, lists.values())).most_common(1)[0][0]
-    kept = tuple(load for load in group if tuple(lists[load.results.directory]) == frequent)
+    targets = {folder: tuple(load.target for load in run) for folder, run in by_run(group).items()}
+    frequent = Counter(targets.values()).most_common(1)[0][0]
+    kept = tuple(load for load in group if targets[load.results.directory] == frequent)
     left = sorted({load.folder for load in group} - {load.folder for load in kept})
     if left:
         sheet.notes.append(f"left out, as their loads are others than those of {kept[0].folder}: {', '.join(left)}")
@@ -174,14 +172,14 @@ def _compare_loads(sheet: Sheet, name: str, x: np.ndarray, curves: Curves):
         for title, part in (("q ≥ 4 q_l", middle > 4), ("q < 4 q_l", middle < 4)):
             if np.any(part):
                 worst = np.flatnonzero(part)[int(np.argmax(np.abs(np.log(ratio[part]))))]
-                found = Finding(float(ratio[worst]), None if error is None else float(error[worst]),
+                found = Finding(float(ratio[worst]), float(error[worst]) if np.isfinite(error[worst]) else None,
                                 count=len(curves[high][kind]))  # fmt: skip
                 sheet.findings[f"{kind} spectra, largest over smallest load, farthest octave of {title}, {name}"] = (
                     found
                 )
 
 
-def octaves(x: np.ndarray, above: np.ndarray, below: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+def octaves(x: np.ndarray, above: np.ndarray, below: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Middle of each octave of x, and the ratio of two spectra (seeds, m) there, bins weighed alike, with its error."""
     octave = np.floor(np.log2(x) + 1e-9).astype(int)
     levels = np.unique(octave)

@@ -56,16 +56,8 @@ def draw(loads: list[Load]) -> Sheet:
             sheet.findings.add(f"ratio to Persson's f(q), {name}, k = {low}–{high}", hard)
         middle = np.sqrt([low * high for low, high in BANDS]) * (1 + 0.05 * number)
         seen = np.isfinite(ratios).all(axis=0)
-        error = standard_error(ratios)
-        sheet.curve(
-            1,
-            middle[seen],
-            ratios.mean(axis=0)[seen],
-            label,
-            error=None if error is None else error[seen],
-            lw=0.7,
-            **look,
-        )
+        error = standard_error(ratios)[seen]
+        sheet.curve(1, middle[seen], ratios.mean(axis=0)[seen], label, error=error, lw=0.7, **look)
         for load, s, f, m in zip(group, stress, full, model, strict=True):
             sheet.keep("data", ("setting", "seed", "q_over_q_l", "modes", "stress", "full_contact", "field_theory"),
                        *((name, load.seed, *row) for row in zip(x, count, s, f, m, strict=True)))  # fmt: skip

@@ -13,6 +13,7 @@ import figures
 import numpy as np
 from plotting import BLACK, GREY, Sheet, style
 from reading import Load
+from samples import by_run
 
 from pgfmd.errors import InputError
 from pgfmd.theory import adhesion
@@ -26,10 +27,8 @@ NEEDS = ("attraction",)
 
 def draw(loads: list[Load]) -> Sheet:
     """Both branches of each run; the pull-off force and the loss of each cycle."""
-    sheet, runs = Sheet(1, 2), dict[str, list[Load]]()
-    for load in loads:
-        runs.setdefault(str(load.results.directory), []).append(load)
-    for number, run in enumerate(runs.values()):
+    sheet = Sheet(1, 2)
+    for number, run in enumerate(by_run(loads).values()):
         name = run[0].folder
         unit, label = scale(run[0])
         x = np.array([load.number("displacement") for load in run])

@@ -47,9 +47,8 @@ def draw(loads: list[Load]) -> Sheet:
     if flowing:
         draw_stream(sheet, 1, flowing[-1])
     else:
-        why = "nothing flows along x" if kept else 'give output.fields "flux_x" and "flux_y" of a flow along x'
-        sheet.notes.append(f"no panel (b): {why}")
-        sheet.drop(1)
+        lacking = 'give output.fields "flux_x" and "flux_y" of a flow along x'
+        sheet.drop(1, "nothing flows along x" if kept else lacking)
     return sheet
 
 

@@ -36,8 +36,7 @@ def draw(loads: list[Load]) -> Sheet:
         limit = float(shown[-1].job["output"]["partial_slip"]["friction"]) * np.ma.masked_where(pressure <= 0, pressure)
         show_field(sheet, 1, shown[-1], traction / limit, r"$\tau\,/\,(\mu p)$", cmap="viridis", vmin=0, vmax=1)
     else:
-        sheet.notes.append('no panel (b): give output.fields "traction" and "pressure"')
-        sheet.drop(1)
+        sheet.drop(1, 'give output.fields "traction" and "pressure"')
     return sheet
 
 

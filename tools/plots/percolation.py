@@ -42,8 +42,7 @@ def draw(loads: list[Load]) -> Sheet:
     if shown:
         draw_path(sheet, 1, shown[-1])
     else:
-        sheet.notes.append('no panel (b): no field "gap" was kept')
-        sheet.drop(1)
+        sheet.drop(1, 'no field "gap" was kept')
     return sheet
 
 

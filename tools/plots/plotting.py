@@ -173,20 +173,20 @@ class Sheet:
         """Draw and record one curve; `name` is its title in the CSV and, with `label`, its entry in the legend, which
         may be another text.
 
-        A curve without a finite point has no entry; a bar that would reach down to zero has no lower half.
+        A curve without a finite point has no entry; a bar that would reach down to zero has no lower half.  Errors that
+        are not known are NaN.
         """
         axes = self.panels[panel]
         x, y = np.atleast_1d(x), np.atleast_1d(y)
+        errors = np.broadcast_to(np.nan if error is None else error, x.shape)
         entry = label if isinstance(label, str) else name
         shown = tex(entry) if label and entry and np.any(np.isfinite(x) & np.isfinite(y)) else None
         self._titles[panel] += [shown] * bool(shown)
-        if error is None:
+        if np.isnan(errors).all():
             axes.plot(x, y, label=shown, **style)
         else:
-            upper = np.broadcast_to(error, x.shape)
-            lower = np.where((y > 0) & (upper > 0.9 * y), 0.0, upper)  # a logarithmic axis has no zero
-            axes.errorbar(x, y, [lower, upper], label=shown, capsize=1.5, elinewidth=0.6, capthick=0.6, **style)
-        errors = np.full(len(x), np.nan) if error is None else np.broadcast_to(error, x.shape)
+            lower = np.where((y > 0) & (errors > 0.9 * y), 0.0, errors)  # a logarithmic axis has no zero
+            axes.errorbar(x, y, [lower, errors], label=shown, capsize=1.5, elinewidth=0.6, capthick=0.6, **style)
         self._table += [(panel + 1, name, *row) for row in zip(x, y, errors, strict=True)]
 
     def keep(self, table: str, columns: Sequence[str], *rows: Sequence):
@@ -221,9 +221,10 @@ class Sheet:
                 axes.legend(handles, labels, loc="lower left", bbox_to_anchor=(0, 1), ncols=columns, borderaxespad=0.3)
             self._legend_rows = max(self._legend_rows, rows)
 
-    def drop(self, panel: int):
-        """Leave a panel out."""
+    def drop(self, panel: int, why: str = ""):
+        """Leave a panel out; why: for the notes."""
         self.panels[panel].remove()
+        self.notes += [f"no panel ({chr(97 + panel)}): {why}"] * bool(why)
 
     def save(self, output: Path, name: str) -> list[Path]:
         """Write NAME.png, .pdf, .csv (curves), .json (numbers), NAME_TABLE.csv and `extra_files`; their paths."""
@@ -271,11 +272,12 @@ def limited(ensembles: Sequence, sheet: Sheet) -> Sequence:
     return ensembles[:MOST]
 
 
-def standard_error(values, axis: int = 0) -> np.ndarray | None:
-    """Standard error of the mean along an axis; None for a single sample."""
+def standard_error(values) -> np.ndarray:
+    """Standard error of the mean over samples (samples, …): (…); NaN for a single sample."""
     values = np.asarray(values, float)
-    count = values.shape[axis]
-    return values.std(axis=axis, ddof=1) / math.sqrt(count) if count > 1 else None
+    if len(values) == 1:
+        return np.full(values.shape[1:], np.nan)
+    return values.std(axis=0, ddof=1) / math.sqrt(len(values))
 
 
 def guide(axes, x, y0: float, exponent: float, text: str, *, above: bool = False, **style):

@@ -118,7 +118,7 @@ def _draw(sheet: Sheet, group: Ensemble, panels: tuple[int, ...]):
     for panel in panels:
         name = group.label or f"f_c = {group.mean('area'):.3f}"
         sheet.curve(panel, middle[seen], mean[seen], name, label="simulation" if group.label else True,
-                    error=None if error is None else error[seen], **drawn)  # fmt: skip
+                    error=error[seen], **drawn)  # fmt: skip
         for name, form, line in (("Persson", std, {"color": BLACK}),
                                  ("same form, fitted width", width, {"color": GREY, "ls": "--"})):  # fmt: skip
             theory = persson.pressure_density(sigma * std, group.mean("mean_pressure"), form) * std

@@ -119,6 +119,14 @@ def difference(group: Sequence[Load]) -> str | None:
     return None
 
 
+def by_run(loads: Iterable[Load]) -> dict[Path, list[Load]]:
+    """Loads by the folder of their run, in their order."""
+    runs: dict[Path, list[Load]] = {}
+    for load in loads:
+        runs.setdefault(load.results.directory, []).append(load)
+    return runs
+
+
 def _order(load: Load) -> tuple:
     return load.hurst or 0.0, load.zeta or 0.0, load.wavelengths[0], load.results.shape, load.folder * (not load.hurst)
 

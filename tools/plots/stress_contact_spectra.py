@@ -65,11 +65,11 @@ def samples(group: Ensemble) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.nda
     return (q / group.q_unit)[seen], count[seen], stress[:, seen], contact[:, seen]
 
 
-def ratio_of_means(above: np.ndarray, below: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-    """Σ above/Σ below over samples (samples, m), and its standard error by leaving one out at a time (None for one)."""
+def ratio_of_means(above: np.ndarray, below: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Σ above/Σ below over samples (samples, m), and its standard error by leaving one out at a time (NaN for one)."""
     ratio, count = above.sum(axis=0) / below.sum(axis=0), len(above)
     if count < 2:
-        return ratio, None
+        return ratio, np.full(len(ratio), np.nan)
     others = (above.sum(axis=0) - above) / (below.sum(axis=0) - below)
     return ratio, np.sqrt((count - 1) / count * np.sum((others - others.mean(axis=0)) ** 2, axis=0))
 

@@ -37,8 +37,7 @@ def draw(loads: list[Load]) -> Sheet:
         label = r"$\sigma_\mathrm{vM}$" + (f" / {unit}" if unit else "")
         show_field(sheet, 1, shown[-1], thinned(shown[-1], "von_mises"), label, cmap="inferno")
     else:
-        sheet.notes.append('no panel (b): no field "von_mises" was kept')
-        sheet.drop(1)
+        sheet.drop(1, 'no field "von_mises" was kept')
     return sheet
 
 
