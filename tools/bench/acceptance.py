@@ -120,11 +120,8 @@ def report(folder: Path, failed: list[int]) -> int:
     bad += [] if checks else ["no run has ended"]
     lines = ["# pgfmd on this machine", ""]
     lines += [f"**{'WRONG: ' + '; '.join(bad) if bad else f'All is right on {_list(checks)} ranks.'}**", ""]
-    lines += [
-        "| | |",
-        "|---|---|",
-        *(f"| {name} | {value} |" for line in checks[-1:] for name, value in line["machine"].items()),
-    ]
+    lines += ["| | |", "|---|---|"]
+    lines += [f"| {name} | {value} |" for line in checks[-1:] for name, value in line["machine"].items()]
     lines += [
         "",
         "Differences from one rank (a rough surface of 256 points a side or more, to 1e-20), and from the exact wave:",
@@ -155,16 +152,8 @@ def _row(line: dict, times: list[dict]) -> str:
     counts = [sum(value for key, value in line.items() if key.startswith("count ") and key.endswith(name))
               for name in ("all-to-alls", "reductions", "halos")]  # fmt: skip
     faster = f"{min(alone) / line['solve']:.2f}" if alone else ""
-    cells = (
-        line["n"],
-        line["ranks"],
-        line["threads"],
-        f"{line['solve']:.3g}",
-        faster,
-        f"{line['transforms']:.2f}",
-        *counts,
-    )
-    return "| " + " | ".join(map(str, cells)) + " |"
+    cells = (line["n"], line["ranks"], line["threads"], f"{line['solve']:.3g}", faster, f"{line['transforms']:.2f}")
+    return "| " + " | ".join(map(str, (*cells, *counts))) + " |"
 
 
 def _apart(found: np.ndarray, expected: np.ndarray) -> float:

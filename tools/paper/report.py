@@ -253,21 +253,7 @@ def _complete(path: Path) -> bool:
 def _write_table(path: Path, asked: Iterable[Claim], findings: dict[str, Findings]):
     with open(path, "w", newline="", encoding="utf-8") as file:
         table = csv.writer(file, lineterminator="\n")
-        table.writerow(
-            [
-                "claim",
-                "kind",
-                "verdict",
-                "column",
-                "part",
-                "paper",
-                "measured",
-                "seeds",
-                "choices",
-                "samples",
-                "part_verdict",
-            ]
-        )
+        table.writerow("claim kind verdict column part paper measured seeds choices samples part_verdict".split())
         for claim in asked:
             verdict = claim.verdict(findings)
             for part in claim.parts:

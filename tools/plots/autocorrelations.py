@@ -46,12 +46,8 @@ def draw(loads: list[Load], area: float | None = None) -> Sheet:
     sheet.label(0, r"$\Delta r\,/\,\lambda_s$", "autocorrelation", scale="log")
     sheet.curve(1, x[drawn], ratio.mean(axis=0)[drawn], "simulation", color=RED, marker="o", ms=2,
                 error=standard_error(ratio)[drawn])  # fmt: skip
-    bounds = (
-        (1.0, "lower bound", "--"),
-        (float(m2.mean()), f"$m_2$ = {m2.mean():.3f}", "-."),
-        (2.0, "upper bound if $m_2$ = 2", ":"),
-    )
-    for value, name, dashes in bounds:
+    for value, name, dashes in ((1.0, "lower bound", "--"), (float(m2.mean()), f"$m_2$ = {m2.mean():.3f}", "-."),
+                                (2.0, "upper bound if $m_2$ = 2", ":")):  # fmt: skip
         sheet.curve(1, x[drawn][[0, -1]], [value, value], name, color=BLACK, lw=0.8, ls=dashes)
     sheet.label(1, r"$\Delta r\,/\,\lambda_s$", r"$C_\sigma\,/\,(\sigma_c^2\,C_c)$", scale="semilogx")
     for panel in sheet.panels:
@@ -78,17 +74,14 @@ def report(sheet: Sheet, group: list[Load], x: np.ndarray, ratio: np.ndarray, m2
         add(f"C_σ/(σ_c² C_c) at {mark:g} λ_s", [np.interp(mark, x, row) for row in ratio])
     inner = x <= 1 / 8 * (1 + 1e-9)
     add("share of the upper bound 2 up to λ_s/8, least", [row[inner].min() / 2 for row in ratio])
-    add(
-        "share of the upper bound m₂ up to λ_s/8, least",
-        [(row[inner] / m).min() for row, m in zip(ratio, m2, strict=False)],
-    )
+    shares = [(row[inner] / m).min() for row, m in zip(ratio, m2, strict=True)]
+    add("share of the upper bound m₂ up to λ_s/8, least", shares)
     add("smallest ratio", ratio.min(axis=1))
     add("smallest ratio up to 4 λ_s", ratio[:, x <= 4].min(axis=1))
     add("largest ratio", ratio.max(axis=1))
     add("largest ratio over m₂", ratio.max(axis=1) / m2)
-    add(
-        "largest Δr/λ_s where the ratio exceeds m₂", [_last_above(x, row, m) for row, m in zip(ratio, m2, strict=False)]
-    )
+    places = [_last_above(x, row, m) for row, m in zip(ratio, m2, strict=True)]
+    add("largest Δr/λ_s where the ratio exceeds m₂", places)
 
 
 def _last_above(x: np.ndarray, row: np.ndarray, level: float) -> float:

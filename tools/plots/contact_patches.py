@@ -64,11 +64,8 @@ def draw(loads: list[Load], areas: tuple[float, ...] = (), smallest: int = 16) -
         if setting.hurst is not None:
             sheet.findings.add("τ = 2 − H/2 of islands", bearing.patch_exponent(setting.hurst))
     for run, (size, force) in zip(runs, samples, strict=True):
-        sheet.keep(
-            "data",
-            ("run", "kind", "area", "load"),
-            *((run.name, "elastic", *row) for row in zip(size, force, strict=False)),
-        )
+        rows = ((run.name, "elastic", *row) for row in zip(size, force, strict=True))
+        sheet.keep("data", ("run", "kind", "area", "load"), *rows)
     for run, (size, _) in zip(runs, islands, strict=True):
         sheet.keep("data", ("run", "kind", "area", "load"), *((run.name, "bearing", a, np.nan) for a in size))
     return sheet
@@ -139,13 +136,8 @@ def report_sizes(sheet: Sheet, kind: str, sizes: list[np.ndarray], resolved: flo
         return lambda size: tail_exponent(size, least, most)[0]
 
     everything, large = np.concatenate(sizes), max(LARGE, resolved)
-    _report(
-        sheet,
-        f"τ of large patches (from λ_s²), {kind}",
-        sizes,
-        law(large),
-        [law(max(large / 2, resolved)), law(2 * large)],
-    )
+    _report(sheet, f"τ of large patches (from λ_s²), {kind}", sizes, law(large),
+            [law(max(large / 2, resolved)), law(2 * large)])  # fmt: skip
     _report(sheet, f"τ of small patches (to 0.3 λ_s²), {kind}", sizes, law(resolved, 0.3),
             [law(resolved, 0.15), law(resolved, 0.6), law(2 * resolved, 0.3)])  # fmt: skip
     _report(sheet, f"τ over all resolved patches, {kind}", sizes, law(resolved), [law(2 * resolved), law(4 * resolved)])

@@ -24,11 +24,7 @@ Full lines: f(q) of Persson's theory at the same load. Broken lines: f(q) as sol
 where that was computed. Below, on a linear axis: contact areas from 0.4 to 0.95. Bars: standard error over seeds."""
 NEEDS = ("spectra", "load", "roughness")
 OPTIONS = {"--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"}}
-LEVELS = (
-    0.9,
-    0.8,
-    0.95,
-)  # of the ratio, at which it leaves full contact; the first is reported, the others are choices
+LEVELS = 0.9, 0.8, 0.95  # ratios at which it leaves full contact; the first is reported, the others are choices
 MIDDLE = 0.4, 0.95  # contact areas that are drawn on a linear axis, too
 INNER = 4.0  # q/q_l from which ratios are averaged, up to q_s/2
 

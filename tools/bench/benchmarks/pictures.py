@@ -138,17 +138,9 @@ def panel(axes, curves: dict, cost: str, error: str) -> None:
         colour, marker = STYLES[method]
         line, cores = LINES.get((ranks, threads), (":", f", {ranks} ranks"))
         label = NAMES.get(method, method) + cores
-        axes.plot(
-            [p[cost] for p in points],
-            [p[error] for p in points],
-            color=colour,
-            linestyle=line,
-            marker=marker,
-            markevery=max(1, len(points) // 15),
-            markersize=4,
-            linewidth=1.2,
-            label=label if cost == "seconds" else None,
-        )
+        x, y, every = [p[cost] for p in points], [p[error] for p in points], max(1, len(points) // 15)
+        axes.plot(x, y, color=colour, ls=line, lw=1.2, marker=marker, ms=4, markevery=every,
+                  label=label if cost == "seconds" else None)  # fmt: skip
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.xaxis.set_minor_formatter("")

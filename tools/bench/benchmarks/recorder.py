@@ -25,13 +25,9 @@ class Recorder:
     """
 
     def __init__(
-        self,
-        reference: np.ndarray,
-        comm=None,
-        floor: float = 0.0,
-        budget: float = np.inf,
+        self, reference: np.ndarray, comm=None, floor: float = 0.0, budget: float = np.inf,
         certify: Callable[[np.ndarray], tuple[float, float]] | None = None,
-    ):
+    ):  # fmt: skip
         self.reference, self.comm, self.floor, self.budget, self.certify = reference, comm, floor, budget, certify
         self.norm, self.contact = self._sums([np.vdot(reference, reference), np.count_nonzero(reference > 0)])
         self.points: list[dict] = []
