@@ -171,15 +171,6 @@ def error_of(pressure: np.ndarray, reference: np.ndarray) -> float:
     return float(np.linalg.norm(pressure - reference) / np.linalg.norm(reference))
 
 
-def gaps_of(heights: np.ndarray, pressure: np.ndarray, coefficients=contextlib.nullcontext) -> dict:
-    """Area, approach and mean gap that belong to a pressure, with these influence coefficients."""
-    import pgfmd
-
-    with coefficients():
-        found = pgfmd.certify(heights, pressure, spacing=SIDE / len(heights), contact_modulus=1.0, boundary="open")
-    return {"area": float(np.mean(pressure > 0)), "approach": found.displacement, "mean_gap": found.mean_gap}
-
-
 def equal(case: dict, heights: np.ndarray, program: str) -> dict:
     """How far a peer's pressure is from ours with its coefficients."""
     with love():

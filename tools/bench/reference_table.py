@@ -120,11 +120,11 @@ def check(found: dict) -> list[dict[str, float]]:
     return rows
 
 
-def decision(rows: list[dict[str, float]], largest: float = 0.03) -> list[dict[str, float]]:
-    """κ of surfaces with λ_l ≥ 4 λ_r, at areas from .005 to `largest`, fitted by c₀ + c₁ ln α + c₂ H + c₃ ln(p̄/E'g):
+def decision(rows: list[dict[str, float]]) -> list[dict[str, float]]:
+    """κ of surfaces with λ_l ≥ 4 λ_r, at areas from .005 to .03, fitted by c₀ + c₁ ln α + c₂ H + c₃ ln(p̄/E'g):
     the coefficients with 95 % intervals, which take in the scatter of the surfaces.
     """
-    low = [row for row in rows if row["area"] < largest and row["area"] > 0.005 and row["rolloff"] > 1]
+    low = [row for row in rows if 0.005 < row["area"] < 0.03 and row["rolloff"] > 1]
     if len(low) < 8:
         return []
     design = np.array([[1, math.log(row["nayak"]), row["hurst"], math.log(row["pressure"])] for row in low])

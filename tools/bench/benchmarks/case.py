@@ -101,14 +101,13 @@ def prepare(case: Case, folder: Path) -> None:
     (folder / f"{case.name}.json").write_text(json.dumps(facts, indent=1))
 
 
-def _load_for(area: float, measure, within: float = 0.01) -> float:
+def _load_for(area: float, measure) -> float:
     """The mean pressure that gives the contact area to 1 %: Persson's law with one factor fitted anew at each try."""
     factor = LIKELY_FACTOR
-    pressure = 0.0
     for _ in range(5):
         pressure = likely_pressure(area, factor)
         found = measure(pressure)
-        if abs(found - area) <= within * min(area, 1 - area):
+        if abs(found - area) <= 0.01 * min(area, 1 - area):
             break
         factor *= erfinv(min(found, 1 - 1e-9)) / erfinv(area)
     return pressure

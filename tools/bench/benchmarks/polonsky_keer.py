@@ -13,7 +13,7 @@ from pgfmd.grid.transforms import sink, source
 _jit = numba.njit(nogil=True, cache=True, fastmath={"reassoc", "contract", "nsz"})
 
 
-def polonsky_keer(problem, monitor, most: int = 100_000) -> None:
+def polonsky_keer(problem, monitor) -> None:
     """Iterate, calling monitor(pressure, transforms) each time, until it raises.  Serial.
 
     Two applications of the compliance per iteration: to the pressure and to the search direction.
@@ -25,7 +25,7 @@ def polonsky_keer(problem, monitor, most: int = 100_000) -> None:
     p = np.full(grid.local_shape, mean_pressure)
     direction, gap, response = np.zeros_like(p), np.empty_like(p), np.empty_like(p)
     old, conjugate = 1.0, False
-    for _ in range(most):
+    while True:
         grid.convolve(source(p), compliance, sink(gap))
         gap -= heights
         gap -= _mean_in_contact(p, gap)
