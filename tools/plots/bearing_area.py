@@ -91,7 +91,7 @@ def keep_exponents(sheet: Sheet, group: Ensemble, name: str, x, curves, limits):
         inside = within(x, (low, high)) & np.all(curves > 0, axis=0)
         enough = np.count_nonzero(inside) >= 3
         values.append([-fit_power_law(x[inside], curve[inside])[0] if enough else np.nan for curve in curves])
-    sheet.findings.add(name, values[0], [float(np.mean(each)) for each in values[1:]])
+    sheet.findings.add(name, values[0], values[1:])
 
 
 def normalised(group: Ensemble, kind: str) -> tuple[np.ndarray, np.ndarray]:

@@ -136,19 +136,18 @@ def report(sheet: Sheet, group: Ensemble, name: str, data: tuple, limits: tuple[
     seeds = len(next(iter(curves.values()))["stress"])
     for kind in KINDS:
         values = [[exponent(x, curves, kind, seed, each) for seed in range(seeds)] for each in windows(limits)]
-        sheet.findings.add(f"μ {kind}, {name}", values[0], [float(np.mean(each)) for each in values[1:]])
+        sheet.findings.add(f"μ {kind}, {name}", values[0], values[1:])
         for (low, high), each in zip(windows(limits), values, strict=True):
             error = np.std(each, ddof=1) / np.sqrt(seeds) if seeds > 1 else None
             sheet.keep("table", ("setting", "hurst", "from", "to", "fit", "mu", "standard_error", "seeds"),
                        (name, group.hurst, low, high, kind, float(np.mean(each)), error, seeds))  # fmt: skip
     smallest = {min(curves): curves[min(curves)]}
     alone = [[exponent(x, smallest, "joint", seed, each) for seed in range(seeds)] for each in windows(limits)]
-    sheet.findings.add(f"μ at the smallest load, {name}", alone[0], [float(np.mean(each)) for each in alone[1:]])
+    sheet.findings.add(f"μ at the smallest load, {name}", alone[0], alone[1:])
     # the difference falls as 1/ln(window) if one decay differs from the other by a factor over the window
     scaled_difference = [[math.log(high / low) * exponent(x, curves, "difference", seed, (low, high))
                           for seed in range(seeds)] for low, high in windows(limits)]  # fmt: skip
-    sheet.findings.add(f"(μ_c − μ_σ) ln(window), {name}", scaled_difference[0],
-                       [float(np.mean(each)) for each in scaled_difference[1:]])  # fmt: skip
+    sheet.findings.add(f"(μ_c − μ_σ) ln(window), {name}", scaled_difference[0], scaled_difference[1:])
     for octave in 2.0 ** np.arange(1, math.floor(math.log2(x[-1]))):
         local = [exponent(x, curves, "joint", seed, (octave, 2 * octave)) for seed in range(seeds)]
         sheet.findings.add(f"local μ joint, {octave:g} … {2 * octave:g} q_l, {name}", local)

@@ -125,21 +125,16 @@ def report(sheet: Sheet, group: Ensemble, name: str, data: tuple):
         return
 
     def averaged(part, below):
-        return [
-            float(np.sum((count * a)[part]) / np.sum((count * b)[part])) for a, b in zip(stress, below, strict=True)
-        ]
+        return [np.sum(a[part]) / np.sum(b[part]) for a, b in zip(count * stress, count * below, strict=True)]
 
     for title, fraction in (("f_Persson", f), ("f_solved", numeric)):
         if fraction is not None:
             # the mean over modes counts short waves most; the mean over bins, as the eye sees it, is the other choice
-            logarithmic = [
-                float(np.exp(np.mean(np.log((a / b)[inner])))) for a, b in zip(curves, fraction, strict=True)
-            ]
-            spread = [float(np.mean(averaged(part, full * fraction))) for part in others if np.any(part)]
-            spread.append(float(np.mean(averaged(inner, full * fraction))))
+            logarithmic = [np.exp(np.mean(np.log(row[inner]))) for row in curves / fraction]
+            spread = [averaged(part, full * fraction) for part in (*others, inner) if np.any(part)]
             add(f"ratio/{title}, {name}", logarithmic, spread)
     add(f"ratio to full contact, {name}", averaged(inner, full),
-        [float(np.mean(averaged(part, full))) for part in others if np.any(part)])  # fmt: skip
+        [averaged(part, full) for part in others if np.any(part)])  # fmt: skip
     middle = (x >= INNER) & (x <= top / 4)
     neighbours = [(x >= 2 * INNER) & (x <= top / 4), (x >= INNER) & (x <= top / 8), (x >= INNER) & (x <= top / 2)]
     short = (x >= top / 16) & (x <= top / 2)
@@ -147,13 +142,11 @@ def report(sheet: Sheet, group: Ensemble, name: str, data: tuple):
     slopes = (("data", curves), ("f_Persson", f), ("f_solved", numeric))
     for title, values in slopes:
         if values is not None and np.count_nonzero(middle) >= 3:
-            add(f"slope of {title}, {INNER:g} q_l … q_s/4, {name}", [_slope(x, row, middle) for row in values],
-                [float(np.mean([_slope(x, row, part) for row in values])) for part in neighbours
-                 if np.count_nonzero(part) >= 3])  # fmt: skip
+            add(f"slope of {title}, {INNER:g} q_l … q_s/4, {name}", _slopes(x, values, middle),
+                [_slopes(x, values, part) for part in neighbours if np.count_nonzero(part) >= 3])  # fmt: skip
         if values is not None and np.count_nonzero(short) >= 3:
-            add(f"slope of {title} at large q, {name}", [_slope(x, row, short) for row in values],
-                [float(np.mean([_slope(x, row, part) for row in values])) for part in choices
-                 if np.count_nonzero(part) >= 3])  # fmt: skip
+            add(f"slope of {title} at large q, {name}", _slopes(x, values, short),
+                [_slopes(x, values, part) for part in choices if np.count_nonzero(part) >= 3])  # fmt: skip
     crossings = {level: [crossing(x, row, level) for row in curves] for level in LEVELS}
     if np.all(np.isfinite(crossings[LEVELS[0]])):
         add(
@@ -174,8 +167,9 @@ def report(sheet: Sheet, group: Ensemble, name: str, data: tuple):
                                       zip(x, count, stress[seed], full[seed], f[seed], last, strict=True)))  # fmt: skip
 
 
-def _slope(x: np.ndarray, row: np.ndarray, part: np.ndarray) -> float:
-    return fit_power_law(x[part], np.maximum(row[part], 1e-300))[0]
+def _slopes(x: np.ndarray, curves: np.ndarray, part: np.ndarray) -> list[float]:
+    """The exponent of each curve (samples, m) over a part of x."""
+    return [fit_power_law(x[part], np.maximum(row[part], 1e-300))[0] for row in curves]
 
 
 if __name__ == "__main__":

@@ -128,18 +128,20 @@ class Finding:
 class Findings(dict):
     """Numbers that a figure yields: name → Finding."""
 
-    def add(self, name: str, values, choices: Iterable[float] | None = None):
+    def add(self, name: str, values, choices: Iterable | None = None):
         """The mean of `values` (one number or several, of seeds) with its standard error.
 
-        choices : the same number by other defensible fit ranges or estimators; the largest deviation from the mean is
-        the spread.  Numbers that are not finite are left out; nothing is added if none is finite.
+        choices : the same number, or numbers of which the mean is taken, by each other defensible fit range or
+        estimator; the largest deviation from the mean is the spread.  Numbers that are not finite are left out; nothing
+        is added if none is finite.
         """
         values = np.atleast_1d(np.asarray(values, float))
         values = values[np.isfinite(values)]
         if values.size:
             mean = float(values.mean())
             seeds = float(values.std(ddof=1) / math.sqrt(values.size)) if values.size > 1 else None
-            others = [] if choices is None else [float(other) for other in choices if np.isfinite(other)]
+            means = [] if choices is None else [float(np.mean(choice)) for choice in choices]
+            others = [other for other in means if math.isfinite(other)]
             spread = max((abs(other - mean) for other in others), default=None)
             self[name] = Finding(mean, seeds, spread, int(values.size), tuple(values.tolist()), tuple(others))
 

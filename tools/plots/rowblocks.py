@@ -19,18 +19,18 @@ MEMORY = 2**27  # bytes of one block
 BLOCK = 1 << 18  # entries that are binned at a time: temporaries stay in the cache
 
 
-def radial_spectrum(blocks, shape, lengths, *, edges=None, weight=None, memory: int = MEMORY, scratch=None):
+def radial_spectrum(blocks, shape, lengths, *, edges=None, weight=None, memory: int = MEMORY):
     """|f̃|² averaged over direction: q, value, count, each (m,), those of the whole field.
 
     blocks : iterable of (rows, values), `rows` a slice of the nx rows, values of shape (rows, ny)
     shape (nx, ny), lengths (lx, ly); edges : of the bins (default: `binning.bin_edges`); weight : function of |q| by
-    which each mode is multiplied before it is averaged; memory : bytes of a block; scratch : folder of the scratch file
+    which each mode is multiplied before it is averaged; memory : bytes of a block
     """
     edges = binning.bin_edges(shape, lengths) if edges is None else edges
     qx, qy = wave_numbers(shape, lengths)
     modes = hermitian_weight(shape[1])
     sums = np.zeros((3, len(edges) - 1))
-    with tempfile.TemporaryFile(dir=scratch) as file:
+    with tempfile.TemporaryFile() as file:
         for columns, block in _columns(_rows_transformed(file, blocks, shape), memory):
             q, power = np.hypot(qx, qy[:, columns]), np.abs(block) ** 2
             values = power if weight is None else weight(np.where(q > 0, q, 1.0)) * power
@@ -38,11 +38,11 @@ def radial_spectrum(blocks, shape, lengths, *, edges=None, weight=None, memory: 
     return radial_mean(sums)
 
 
-def radial_autocorrelation(blocks, shape, lengths, *, memory: int = MEMORY, scratch=None, width=None):
+def radial_autocorrelation(blocks, shape, lengths, *, memory: int = MEMORY):
     """⟨f(r) f(r + Δr)⟩ averaged over direction: r, value, count."""
-    edges = binning.lag_edges(shape, lengths, width)
+    edges = binning.lag_edges(shape, lengths)
     sums = np.zeros((3, len(edges) - 1))
-    with tempfile.TemporaryFile(dir=scratch) as file:
+    with tempfile.TemporaryFile() as file:
         spectrum = _rows_transformed(file, blocks, shape)
         for columns, block in _columns(spectrum, memory):
             spectrum[:, columns] = fft.ifft(np.abs(block) ** 2, axis=0, norm="forward")
