@@ -24,6 +24,14 @@ from pathlib import Path
 
 import csv_rows
 import numpy as np
+from scipy.special import erfinv
+
+import pgfmd
+from pgfmd.observables.contact import Contact
+from pgfmd.observables.partial_slip import PartialSlip
+from pgfmd.observables.rough_surface import RoughSurface
+from pgfmd.physics.solids import open_kernel
+from pgfmd.physics.solids.homogeneous import Homogeneous
 
 SIDE, SLOPE, ENOUGH = 512.0, 0.1, 1e-4
 COLUMNS = "part n surface load program setting cpu work pressure_error area corrected_area approach mean_gap".split()
@@ -31,8 +39,6 @@ COLUMNS = "part n surface load program setting cpu work pressure_error area corr
 
 def heights_of(surface: str, n: int) -> np.ndarray:
     """Heights (n, n) of the side 512, points in the middle of pixels."""
-    import pgfmd
-
     kind, *values = surface.split(":")
     x = (np.arange(n) + 0.5) * SIDE / n - SIDE / 2
     r2 = x[:, None] ** 2 + x**2
@@ -60,8 +66,6 @@ def _finer(field: np.ndarray, n: int) -> np.ndarray:
 
 def load_of(surface: str, area: float) -> float:
     """The mean pressure for about that contact area."""
-    from scipy.special import erfinv
-
     kind, *values = surface.split(":")
     if kind == "sphere":
         return 4 * (float(values[0]) * SIDE) ** 3 / (3 * 4 * SIDE) / SIDE**2
@@ -71,8 +75,6 @@ def load_of(surface: str, area: float) -> float:
 @contextlib.contextmanager
 def love() -> Iterator[None]:
     """In the block our influence coefficients are the peers', of uniform pressure on pixels (Love 1929)."""
-    from pgfmd.physics.solids import open_kernel
-
     def kernel(x, y):
         corners = [(x + i, y + j, 4 * i * j) for i in (-0.5, 0.5) for j in (-0.5, 0.5)]
         return sum(s * (a * np.arcsinh(b / np.abs(a)) + b * np.arcsinh(a / np.abs(b))) for a, b, s in corners)
@@ -90,8 +92,6 @@ def love() -> Iterator[None]:
 
 def ours(heights: np.ndarray, load: float, tolerance: float):
     """Our solution of one load."""
-    import pgfmd
-
     spacing = SIDE / len(heights)
     return pgfmd.solve(heights, load, spacing=spacing, boundary="open", contact_modulus=1.0, tolerance=tolerance,
                        threads=1)  # fmt: skip
@@ -186,12 +186,6 @@ def slip(case: dict, heights: np.ndarray, program: str) -> dict:
     """Processor time for the contact and its partial slip, with the peer's coefficients; how far its traction is
     from ours, over ours, and its tangential shift (column `approach`).
     """
-    import pgfmd
-    from pgfmd.observables.contact import Contact
-    from pgfmd.observables.partial_slip import PartialSlip
-    from pgfmd.observables.rough_surface import RoughSurface
-    from pgfmd.physics.solids.homogeneous import Homogeneous
-
     n, solid, began = len(heights), Homogeneous(contact_modulus=1.0, poisson=0.0), time.process_time()
     with love():
         found = pgfmd.solve(heights, case["load"], spacing=SIDE / n, boundary="open", solid=solid, tolerance=1e-12,

@@ -24,6 +24,23 @@ import numpy as np
 import scaling_emulation
 import scaling_model
 
+from pgfmd.application.estimate import BASE_BYTES, LIBRARY_BYTES, Plan
+from pgfmd.application.job import parse
+from pgfmd.grid import transpose
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.grid.transfer import SubGrid
+from pgfmd.grid.transpose import ExchangedStrips, Strips
+from pgfmd.parallel.collectives import Reduction, node_of
+from pgfmd.parallel.layout import Exchange
+from pgfmd.parallel.mpi import MPI, world
+from pgfmd.physics.laws.hard import HardWall
+from pgfmd.physics.problem import ContactProblem
+from pgfmd.physics.solids.homogeneous import Homogeneous
+from pgfmd.solvers.active_set.conjugate_gradients import ConjugateGradients
+from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
+from pgfmd.solvers.nested_iteration import NestedIteration
+from pgfmd.surfaces.self_affine import self_affine
+
 SLOPE, PRESSURE = 0.031, 0.0036  # of the problem: H = .8, λ_s = n/64, some 8 % in contact
 JOB = """grid.n = {n}
 surface = {{kind = "self-affine", hurst = 0.8, lambda_s = {shortest}, rms_slope = {slope}}}
@@ -81,31 +98,14 @@ class Clock:
 
 def problem_of(comm, n: int, shared: bool = True):
     """The contact that is measured."""
-    from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.physics.laws.hard import HardWall
-    from pgfmd.physics.problem import ContactProblem
-    from pgfmd.physics.solids.homogeneous import Homogeneous
-    from pgfmd.surfaces.self_affine import self_affine
-
     grid = SlabGrid(comm, (n, n), transform="blocked" if shared else "exchanged")
-    return ContactProblem(
-        grid, self_affine(grid, 0.8, n / 64, SLOPE, 1), Homogeneous(contact_modulus=2.66667), HardWall(), PRESSURE
-    )
+    heights = self_affine(grid, 0.8, n / 64, SLOPE, 1)
+    return ContactProblem(grid, heights, Homogeneous(contact_modulus=2.66667), HardWall(), PRESSURE)
 
 
 def measure(path: Path, n: int, exchanged: bool) -> None:
     """Seconds and messages of a solve by level and phase.  Collective."""
-    from mpi4py import MPI
-
-    from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.grid.transpose import ExchangedStrips, Strips
-    from pgfmd.parallel.collectives import Reduction
-    from pgfmd.parallel.layout import Exchange
-    from pgfmd.solvers.active_set.conjugate_gradients import ConjugateGradients
-    from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
-    from pgfmd.solvers.nested_iteration import NestedIteration
-
-    comm, shared = MPI.COMM_WORLD, not exchanged
+    comm, shared = world(), not exchanged
     solve_hard_wall(problem_of(comm, max(512, comm.size), shared))  # so that nothing is compiled or loaded later
     problem, clock = problem_of(comm, n, shared), Clock()
     grid = problem.grid
@@ -179,17 +179,7 @@ def memory(path: Path, n: int, nodes: int) -> None:
     nodes: so many are emulated; strips are shared only within each.  A rank's resident memory contains all pages of
     its node's strips that it has seen, so that several ranks count them; that of the node counts them once.
     """
-    from mpi4py import MPI
-
-    from pgfmd.application.estimate import BASE_BYTES, LIBRARY_BYTES, Plan
-    from pgfmd.application.job import parse
-    from pgfmd.grid import transpose
-    from pgfmd.grid.transfer import SubGrid
-    from pgfmd.parallel.collectives import node_of
-    from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
-    from pgfmd.solvers.nested_iteration import NestedIteration
-
-    comm = MPI.COMM_WORLD
+    comm = world()
     here = -(-comm.size // nodes)
     node = comm.Split(comm.rank // here)
     if nodes > 1:

@@ -15,9 +15,14 @@ from pathlib import Path
 import numpy as np
 import reference
 
+import pgfmd
 from campaigns.comparing import compare
 from campaigns.judging import IMPOSED, Answer, control_of, judge
 from campaigns.random_case import BAD, REFUSED, RIGHT, TRACEBACK, UNCERTIFIED, UNJUDGED, WRONG, Case, toml
+from pgfmd.application import job as jobs
+from pgfmd.application.simulate import run_job
+from pgfmd.errors import InputError, SolverError
+from pgfmd.parallel.collectives import slab
 
 HANG = 120.0  # seconds of processor time that a job of at most 24² points may take
 
@@ -62,8 +67,6 @@ def _answered(case: Case, folder: Path, comm=None) -> tuple[str, str, list[Answe
     """The same, of the job as it is."""
     from mpi4py import MPI
 
-    from pgfmd.errors import InputError, SolverError
-
     comm = MPI.COMM_SELF if comm is None else comm
     if comm.rank == 0:
         folder.mkdir(parents=True, exist_ok=True)
@@ -103,8 +106,6 @@ def _line(message: str, verdict: str) -> tuple[str, str]:
 
 def _by_solve(case: Case, folder: Path, comm):
     """By `pgfmd.solve`."""
-    import pgfmd
-
     document = case.document
     solid, wall, solver = document["solid"], document.get("wall", {}), document.get("solver", {})
     shape = case.heights.shape
@@ -119,8 +120,6 @@ def _by_solve(case: Case, folder: Path, comm):
         options["zeta"] = wall["zeta"]
     heights = case.heights
     if comm.size > 1:
-        from pgfmd.parallel.collectives import slab
-
         heights, options["comm"] = heights[slab(len(heights), comm.size, comm.rank)].copy(), comm
     found = pgfmd.solve(heights, document["load"]["pressure"], spacing=tuple(spacing), threads=1, **options)
     fields = [np.concatenate(comm.allgather(field)) for field in (found.pressure, found.gap)]
@@ -141,9 +140,6 @@ def _by_solve(case: Case, folder: Path, comm):
 
 def _by_simulate(case: Case, folder: Path, comm):
     """By `simulate`, from the TOML file to the result files."""
-    from pgfmd.application import job as jobs
-    from pgfmd.application.simulate import run_job
-
     job = jobs.load(folder / "job.toml")
     run_job(job, comm, folder / "out")
     comm.Barrier()
@@ -154,9 +150,6 @@ def _by_simulate(case: Case, folder: Path, comm):
 
 def _by_command(case: Case, folder: Path, comm):
     """By the command line, in another process; exit codes 2 and 3 and their line become the error that they report."""
-    from pgfmd.application import job as jobs
-    from pgfmd.errors import InputError, SolverError
-
     done = subprocess.run(
         [sys.executable, "-W", "error", "-m", "pgfmd", "run", folder / "job.toml", "--output", folder / "out"],
         capture_output=True, text=True, timeout=HANG, check=False, stdin=subprocess.DEVNULL,
@@ -177,8 +170,6 @@ WAYS = {"solve": _by_solve, "simulate": _by_simulate, "command": _by_command}
 
 def _read(folder: Path, job: str):
     """(effective job as tables, heights, answers) of a result folder."""
-    import pgfmd
-
     job = tomllib.loads(job)
     where = sorted((folder / "out").glob("seed_*")) or [folder / "out"]
     results = pgfmd.Results(where[-1])
