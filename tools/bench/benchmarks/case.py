@@ -66,6 +66,11 @@ def _surface_file(case: Case, folder: Path) -> Path:
     return folder / f"surface-n{case.n}-H{case.hurst:g}-ls{case.lambda_s:g}.npy"
 
 
+def surface_of(case: Case, seed: int = SEED) -> np.ndarray:
+    """Heights (n, n) in grid spacings; one seed is one surface on any grid.  Serial."""
+    return self_affine(SlabGrid(ALONE, (case.n, case.n)), case.hurst, case.lambda_s, RMS_SLOPE, seed)
+
+
 def hard_contact(grid: SlabGrid, heights: np.ndarray, pressure: float) -> ContactProblem:
     """The contact of a half-space with rigid heights (rows, n) at a mean pressure."""
     return ContactProblem(grid, heights, Homogeneous(contact_modulus=CONTACT_MODULUS), HardWall(), pressure)
@@ -78,7 +83,7 @@ def prepare(case: Case, folder: Path) -> None:
     if path.exists():
         heights = np.load(path)
     else:
-        heights = self_affine(grid, case.hurst, case.lambda_s, RMS_SLOPE, SEED)
+        heights = surface_of(case)
         np.save(path, heights)
 
     def solve(pressure: float, tolerance: float):

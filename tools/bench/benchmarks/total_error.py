@@ -23,9 +23,8 @@ from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.contact_area import contact_area, contact_line
 from pgfmd.parallel.mpi import ALONE
 from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
-from pgfmd.surfaces.self_affine import self_affine
 
-from .case import CONTACT_MODULUS, RMS_SLOPE, Case, hard_contact, launch
+from .case import CONTACT_MODULUS, RMS_SLOPE, Case, hard_contact, launch, surface_of
 from .methods import LADDERS, METHODS, PEERS
 from .recorder import EnoughError, Recorder
 from .worker import TIGHTEST, TOLERANCES, warm_up
@@ -97,7 +96,7 @@ def main(arguments: list[str] | None = None) -> None:
     method = _ours if job["method"] == "pgfmd" else METHODS[job["method"]]
     case = Case(job["points"] * job["across"], job["hurst"], job["points"], AREA)
     pressure = job["load"] * CONTACT_MODULUS * RMS_SLOPE
-    heights, ladder = _heights(case, job["seed"]), job["method"] in LADDERS
+    heights, ladder = surface_of(case, job["seed"]), job["method"] in LADDERS
     warm_up(METHODS[job["method"]], job, None)
     recorder = AreaRecorder(job["limit"], job["budget"])
     found = None
@@ -108,11 +107,6 @@ def main(arguments: list[str] | None = None) -> None:
         if found or recorder.over() or recorder.truncated:
             break
     print(json.dumps((found or recorder.points[-1]) | {"reached": int(found is not None)}))
-
-
-def _heights(case: Case, seed: int) -> np.ndarray:
-    """The surface (n, n) in grid spacings: one seed is one surface on any grid."""
-    return self_affine(SlabGrid(ALONE, (case.n, case.n)), case.hurst, case.lambda_s, RMS_SLOPE, seed)
 
 
 def total(folder: Path, surface: tuple[float, int], plan: list, budget: float, clock: str) -> None:

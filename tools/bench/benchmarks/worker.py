@@ -18,7 +18,7 @@ import pgfmd
 from pgfmd.parallel.collectives import slab
 from pgfmd.parallel.mpi import world
 
-from .case import CONTACT_MODULUS, RMS_SLOPE, Case, prepare
+from .case import CONTACT_MODULUS, RMS_SLOPE, Case, prepare, surface_of
 from .methods import METHODS
 from .recorder import Recorder
 
@@ -89,19 +89,12 @@ def mean(field, comm) -> float:
 
 def warm_up(method, job: dict, comm) -> None:
     """A small problem, which loads libraries and compiled kernels."""
-    n, (hurst, slope) = 128, (0.8, RMS_SLOPE)
-    rng = np.random.default_rng(0)
-    q = np.hypot(np.fft.fftfreq(n)[:, None], np.fft.rfftfreq(n)[None, :])
-    spectrum = np.fft.rfft2(rng.standard_normal((n, n))) * np.maximum(q, 1 / n) ** (-1 - hurst)
-    heights = np.fft.irfft2(spectrum, s=(n, n))
-    heights *= slope / np.sqrt(np.mean(np.gradient(heights)[0] ** 2) * 2)
-    rows = slice(None)
-    if comm is not None:
-        rows = slab(n, comm.size, comm.rank)
-    slice_ = np.ascontiguousarray(heights[rows])
-    recorder = Recorder(np.ones_like(slice_), comm, budget=1.0)
-    pressure = 0.1 * CONTACT_MODULUS * slope
-    method(Case(n, hurst, 1.0, 0.0), slice_, pressure, recorder, 1e-8, job["threads"], **job["setting"])
+    case = Case(128, 0.8, 1.0, 0.0)
+    rows = slice(None) if comm is None else slab(case.n, comm.size, comm.rank)
+    heights = surface_of(case)[rows]
+    recorder = Recorder(np.ones_like(heights), comm, budget=1.0)
+    pressure = 0.1 * CONTACT_MODULUS * RMS_SLOPE
+    method(case, heights, pressure, recorder, 1e-8, job["threads"], **job["setting"])
 
 
 if __name__ == "__main__":
