@@ -26,13 +26,13 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import csv
 import io
 import math
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import csv_rows
 import numpy as np
 
 import pgfmd
@@ -167,8 +167,7 @@ def challenge(folders: list[str]) -> Iterator[Row]:
     """Areas at the loads of both branches."""
     runs = [pgfmd.Results(folder) for folder in folders]
     tables = {run.shape[0]: run.to_dataframe() for run in runs}
-    with open(TABLES / "challenge.csv") as file:
-        earlier = list(csv.DictReader(file))
+    earlier = csv_rows.read(TABLES / "challenge.csv")
     targets = [float(row["pressure"]) for row in earlier]
     if len(tables) < len(runs) or any(list(table["target"]) != targets for table in tables.values()):
         raise SystemExit("challenge: two folders of one grid, or other loads than in jobs/benchmark/challenge.csv")
@@ -202,12 +201,9 @@ def main() -> None:
     table, part = PARTS[asked.part]
     rows: list[Row] = []  # the table is written whole after each of them, as long parts may be stopped
     for row in list(part(asked.of)) if part is challenge else part(asked.of):  # which reads the table that it writes
-        rows.append({name: f"{value:.5g}" if isinstance(value, float) else value for name, value in row.items()})
-        print(*rows[-1].values(), flush=True)
-        with open(TABLES / f"{table}.csv", "w", newline="") as file:
-            writer = csv.DictWriter(file, list(row), lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
+        rows.append(row)
+        print(*(csv_rows.shown(value, 5) for value in row.values()), flush=True)
+        csv_rows.write(TABLES / f"{table}.csv", rows, digits=5)
 
 
 if __name__ == "__main__":
