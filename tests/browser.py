@@ -1,6 +1,4 @@
-"""A headless browser for tests of pages, driven over its pipe (Chrome DevTools Protocol); nothing but the browser and
-the standard library is needed.
-"""
+"""A headless browser for tests of pages, driven over its pipe (Chrome DevTools Protocol) by the standard library."""
 
 from __future__ import annotations
 

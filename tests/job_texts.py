@@ -15,8 +15,7 @@ EVERY_OBSERVABLE = (
 def rough_job(n: int | list[int], surface: dict[str, Any] | None = None, **sections: dict[str, Any]) -> str:
     """A job on a self-affine surface of n points.
 
-    surface: keys of [surface] that differ from those below;  sections: the other sections, and more keys of [grid]
-    """
+    surface: keys of [surface] that differ from those below;  sections: the other sections, and more keys of [grid]"""
     grid = {"n": n} | sections.pop("grid", {})
     rough = {"kind": "self-affine", "hurst": 0.8, "lambda_s": 6.0, "rms_slope": 0.1}
     solid = sections.pop("solid", {"lame_lambda": 1.0, "lame_mu": 1.0})

@@ -138,10 +138,7 @@ def wait(run: subprocess.Popen, timeout: float = 120) -> tuple[int, str]:
 
 
 def distance(folder: Path, reference: Path, complete: bool = True) -> tuple[int, float]:
-    """Loads of a run, and their largest relative L2 difference of pressures from those of a reference.
-
-    With `complete` it asserts that all loads are there.
-    """
+    """Loads of a run, all there if `complete`, and the largest relative L2 difference of pressures from a reference."""
     if not complete and not (folder / "observables.h5").exists():
         return 0, 0.0
     mine, other = Results(folder), Results(reference)

@@ -212,8 +212,7 @@ class Contact:
 class OpenContact(Contact):
     """The same on a patch with open boundaries: a convolution with the kernel of a point load that the grid resolves,
     (1/πE') (erf(αr)/r + what a slab adds) and of the modes (2/E'q) erf(q/2α), α = .3 over the larger spacing.  Of a
-    slab on a rigid base that is thin against the torus, or below three spacings, all is of the modes.
-    """
+    slab on a rigid base that is thin against the torus, or below three spacings, all is of the modes."""
 
     wraps = False
 

@@ -103,8 +103,7 @@ def test_a_state_is_a_minimum_of_the_energy(name, control):
 
 @pytest.mark.parametrize("name", ["adhesive", "dugdale"])
 def test_no_point_bears_more_tension_than_the_law(name):
-    """Also at a loose tolerance, which leaves points in contact that the solid pulls more than w/ρ; the mean pressure
-    is that of the field."""
+    """At a loose tolerance too, where the solid pulls points harder than w/ρ; the mean pressure is the field's."""
     law, chance = LAWS[name], np.random.default_rng(8)
     for _ in range(4):
         found = branch(chance.standard_normal((12, 12)), law, Load(pressure=(0.1,)), 0.05).solution(0.1)
@@ -114,8 +113,7 @@ def test_no_point_bears_more_tension_than_the_law(name):
 
 @pytest.mark.parametrize("control", ["mean_gap", "pressure"])
 def test_the_next_target_starts_from_the_last_state(control):
-    """The same target again is the same state without a step, whatever the unit of length; the target between costs
-    fewer inner iterations than from the undeformed solid."""
+    """The same target again takes no step; one nearby takes fewer inner iterations than from the undeformed solid."""
     law, heights = LAWS["adhesive"], rough()
     last, near = (1.5, 1.4) if control == "mean_gap" else (0.01, 0.0105)
     run = branch(heights, law, Load(**{control: (last, near)}), 1e-10)
@@ -238,9 +236,8 @@ def test_pull_off_of_a_sphere_on_a_patch(transition, expected):
 
 @pytest.mark.parametrize("pressure", [0.0, 0.02])
 def test_a_force_on_a_patch(pressure):
-    """At the displacement that an imposed force gives, the force is that; energies and gaps agree.
-
-    The mean pressure is that of the field, which misses the force by the mean of the residual."""
+    """At the displacement that an imposed force gives, the force is that; energies and gaps agree.  The mean pressure
+    is that of the field, which misses the force by the mean of the residual."""
     heights, law = rough(32), LAWS["adhesive"]
     pressed = branch(heights, law, Load(pressure=(pressure,)), 1e-12, domain=OPEN).solution(pressure)
     moved = branch(heights, law, Load(displacement=(pressed.approach,)), 1e-12, domain=OPEN)
@@ -280,8 +277,7 @@ def sure(contact, state, hold):
 
 
 def test_the_bound_holds_on_dense_problems():
-    """The distance of loosely solved states from their minimum is at most the bound, θ estimated by Lanczos, also where
-    that converges in a few steps; all have one."""
+    """Loosely solved states differ from their minimum by the bound at most (θ by Lanczos, if only of a few steps)."""
     for seed in range(12):
         heights = np.random.default_rng(seed).normal(size=(4 + seed % 2 * 4,) * 2)
         contact = AdhesiveContact(branch(heights, AdhesiveWall(work=0.6, range=1.2), Load(mean_gap=(1.0,))).problem)
@@ -352,8 +348,7 @@ def test_what_is_proved_holds_for_matrices(control):
 
 
 def test_a_proof_needs_no_new_estimate_along_a_branch(monkeypatch):
-    """Weak adhesion: of loads one by one all are proved, the first after an estimate; a cold solution of the last has
-    the same energy within both bounds."""
+    """Under weak adhesion one estimate proves all loads; a cold solution has the same energy within both bounds."""
     calls, law = [], AdhesiveWall(work=0.3, range=2.0)
     counted = lambda *a, **k: calls.append(1) or estimated(*a, **k)  # noqa: E731
     monkeypatch.setattr("pgfmd.solvers.adhesive_branch.estimated", counted)
@@ -422,8 +417,7 @@ def test_pull_off_by_a_constant_traction(transition, maugis):
 
 
 def test_pull_off_by_a_constant_traction_of_short_range():
-    """Maugis at μ_T = 1 to 1 %, where the traction ends over 1.1 pixels of gap; a grid pins sharper ends (at an edge of
-    .1 the force is 1.2 % too large)."""
+    """Maugis at μ_T = 1 to 1 %: the traction ends over 1.1 pixels of gap (half of that: force 1.2 % too large)."""
     work, radius, n = 2.0, 40.0, 96
     x = np.arange(n) - n / 2 + 0.5
     law = Dugdale(work=work, range=(radius * work**2) ** (1 / 3), edge=0.2)
@@ -630,8 +624,7 @@ def test_forces_are_those_of_the_gap(tolerance):
 
 @pytest.mark.parametrize(("length", "warned"), [(2.0, False), (0.5, True)])
 def test_summits_need_pixels_where_the_attraction_reaches_far(length, warned, caplog):
-    """For μ_T ≤ 1, √(2Rρ) is warned about below 4 pixels: here it is 2√(2R) and √R with R = 8; the grid it names has
-    4 of its pixels along it."""
+    """For μ_T ≤ 1, fewer than 4 pixels along √(2Rρ) are warned about (here 2√(2R) and √R), with the grid that has 4."""
     x = np.arange(32) - 16.0
     bowl, law = -np.add.outer(x**2, x**2) / 16, AdhesiveWall(work=0.01, range=length)
     with caplog.at_level("INFO", "pgfmd"):

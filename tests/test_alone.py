@@ -46,8 +46,7 @@ def python(code: str, *arguments: object, **environment: str) -> subprocess.Comp
 
 
 def test_a_run_without_mpi_writes_the_same(tmp_path):
-    """Where mpi4py cannot be imported, a run of all observables writes the files of fields of a run with MPI byte for
-    byte, and the same numbers; it says that it had no MPI."""
+    """Without mpi4py a run of all observables writes the same fields byte for byte, the same numbers, and says so."""
     (tmp_path / "job.toml").write_text(JOB)
     for code, name in ((HIDE + MAIN, "alone"), (MAIN, "mpi")):
         done = python(code, "run", tmp_path / "job.toml", "--output", tmp_path / name)
@@ -80,8 +79,7 @@ def test_solve_needs_no_mpi_and_leaves_mpirun_usable(comm, tmp_path):
 
 @pytest.mark.parametrize("rank", [0, 1])
 def test_ranks_without_mpi_are_refused(tmp_path, rank):
-    """Launched as two ranks where mpi4py cannot be imported: exit code 2 and one line of rank 0, nothing written;
-    else each rank would take itself for the whole run."""
+    """Two ranks without mpi4py, each of which would run all: exit code 2, one line of rank 0, nothing written."""
     (tmp_path / "job.toml").write_text(JOB)
     launched = {"OMPI_COMM_WORLD_SIZE": "2", "OMPI_COMM_WORLD_RANK": str(rank)}
     done = python(HIDE + MAIN, "run", tmp_path / "job.toml", "--output", tmp_path / "out", **launched)
@@ -106,8 +104,7 @@ def test_package_says_that_it_is_typed():
 @pytest.mark.parametrize("size", ["SLURM_STEP_NUM_TASKS", "PMI_SIZE"])
 def test_tasks_that_mpi_does_not_join_are_refused(tmp_path, size):
     """A launcher starts two tasks with which the MPI library does not speak, as `srun` without PMI or another library's
-    mpirun: each would run the whole job.  One line of rank 0 says how to start them; both end with 2.
-    """
+    mpirun: each would run the whole job.  One line of rank 0 says how to start them; both end with 2."""
     (tmp_path / "job.toml").write_text(JOB)
     name = {"SLURM_STEP_NUM_TASKS": "SLURM_PROCID", "PMI_SIZE": "PMI_RANK"}[size]
     for rank in range(2):

@@ -63,9 +63,7 @@ def test_a_solid_of_one_modulus_is_refused_where_another_counts(comm):
 
 
 def test_refined_contact_is_that_of_the_interpolated_heights(comm):
-    """`refine`, of `solve` and of a job, is a solution on k times the points each way of the same cell, here on heights
-    that NumPy interpolates; a start has the shape of the answer.
-    """
+    """`refine` solves on k times the points each way, here on heights interpolated by NumPy; so does a job's."""
     heights = np.random.default_rng(3).standard_normal((12, 9))
     spectrum = np.zeros((24, 18), complex)
     kx, ky = (np.fft.fftfreq(n, 1 / n).astype(int) for n in heights.shape)

@@ -119,8 +119,7 @@ def test_ranks_that_disagree_are_refused(comm, name, values):
 
 
 def test_a_wall_too_short_or_long_for_doubles_is_refused(comm):
-    """ζ = 1e-300 of the height: one line that says so; ζ = 1e-10 is solved.  At ζ = 1e20 the elastic energy is lost in
-    the last digits of the pressure, and is not certified."""
+    """ζ = 1e-300 is one line, 1e-10 is solved; at 1e20 the pressure's digits hide the elastic energy: not certified."""
     with pytest.raises(pgfmd.InputError, match="zeta"):
         solve(comm, zeta=1e-300)
     assert solve(comm, zeta=1e-10).certified_error <= 1e-6

@@ -90,9 +90,7 @@ def test_heights_come_back_after_an_error(comm, monkeypatch):
 
 @pytest.mark.parametrize("how", ["read only", "an error of its own"])
 def test_heights_of_the_caller(comm, monkeypatch, how):
-    """Those that may not be written are not shifted; after an error of a monitor, which may be one rank's, shifted ones
-    are NaN rather than silently others.
-    """
+    """Read-only heights are not shifted; after one rank's error in a monitor, shifted ones are NaN, not others."""
     monkeypatch.setattr(balance, "LEAST_POINTS", 1)
     monkeypatch.setattr(balance, "LEAST_GAIN", 0.0)
     grid, shifts = SlabGrid(comm, (64, 48)), []

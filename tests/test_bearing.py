@@ -94,9 +94,7 @@ def test_patches(comm):
 
 def test_autocorrelation_of_a_gaussian_surface(comm):
     """⟨ΘΘ'⟩ follows from the height autocorrelation alone (Owen's T function) on a surface of many independent bumps.
-
-    The cell holds 64² correlation areas, so that averages scatter by a few per cent of f_c.
-    """
+    The cell holds 64² correlation areas, so that averages scatter by a few per cent of f_c."""
     grid = SlabGrid(comm, (512, 512))
     heights = self_affine(grid, 0.5, 8, 0.031, 2, lambda_l=16)
     pressure = (np.arange(grid.rows.start, grid.rows.stop) < 128)[:, None] * np.ones((1, 512))

@@ -85,9 +85,7 @@ def test_pressures_are_certified_where_they_pass_a_level():
 
 
 def test_the_certified_error_of_a_peer_bounds_the_true_one():
-    """Of a solution to 1e-4, against one to 1e-18: the true energy error is at most the bound, and half of it or more;
-    so it is of that pressure in other units.
-    """
+    """In any unit the true error of a solution to 1e-4 (against 1e-18) is between half the bound and the bound."""
     pytest.importorskip("mpi4py")
     from benchmarks.case import CONTACT_MODULUS
 
@@ -210,9 +208,7 @@ def test_a_small_benchmark_from_end_to_end(tmp_path):
 
 @pytest.mark.breadth
 def test_cores_are_compared_in_turns(tmp_path):
-    """Each of the four ways once per round, two relaxations each; a second call adds its rounds; gains are ratios to
-    one thread, of two copies twice that.
-    """
+    """Each way once a round, two relaxations each; a second call adds rounds; gains are over one thread's."""
     if os.environ.get("OMPI_COMM_WORLD_SIZE") or shutil.which("mpirun") is None:
         pytest.skip("starts processes of its own")
     command = [sys.executable, str(ROOT / "tools" / "bench" / "benchmark.py"), "cores", str(tmp_path), "--n", "64"]

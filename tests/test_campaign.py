@@ -39,10 +39,9 @@ def bad_ones(comm, folder, numbers) -> tuple[list[str], Counter]:
 @pytest.mark.mpi
 @pytest.mark.parametrize("count", broad([30, 300]))
 def test_random_jobs(comm, shared_tmp_path, count):
-    """Each is right, to its certified error, or refused in one line.  A third are right at least: 62 per cent
-    of 11,600 were, and fewer than a third of 30 then has a probability of 4e-4.  On ranks fifteen are run, of which one
-    at most is right with a probability of 1e-5.  Number 203 is the first in single precision that is solved.
-    """
+    """Each is right, to its certified error, or refused in one line.  A third are right at least: 62 per cent of 11,600
+    were, and fewer than a third of 30 then has a probability of 4e-4.  On ranks fifteen are run, of which one at most
+    is right with a probability of 1e-5.  Number 203 is the first in single precision that is solved."""
     if SIZE > 1:
         if count > 30:
             pytest.skip("takes too long")

@@ -77,9 +77,7 @@ def test_the_bound_holds_for_random_pressures(comm, case, seed):
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("size", [1e-2, 1e-4])
 def test_the_bound_is_sharp_near_the_solution(comm, case, size):
-    """It is 1 to 1.7 times the true error of p* with noise of a relative size on all points, also on those that do not
-    touch: they bear traces then.  (A point at the hardness bears at most that.)
-    """
+    """It is 1 to 1.7 times the true error of p* with small noise on all points below the hardness, touching or not."""
 
     def noisy(pressure):
         noise = np.abs(np.random.default_rng(7).standard_normal(pressure.shape)) * size * MEAN

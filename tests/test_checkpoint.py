@@ -135,9 +135,7 @@ def written(comm, folder):
 @pytest.mark.parametrize("how", ["flipped", *(pytest.param(how, marks=pytest.mark.mpi("breadth"))
                                              for how in ("cut short", "missing"))])  # fmt: skip
 def test_damaged_results_are_made_again(comm, shared_tmp_path, name, pending, height, how):
-    """A byte beside the numbers of a result file is damaged, or the file cut short or gone: what it held, and only
-    that, is to be made again.
-    """
+    """A byte beside the numbers is damaged, or a file cut short or gone: only what it held is made again."""
     restart = written(comm, shared_tmp_path / "out")
     path = shared_tmp_path / "out" / name
     if how == "flipped":
@@ -204,9 +202,7 @@ def test_sha256sum_reads_the_checksums(comm, shared_tmp_path):
 
 @pytest.mark.parametrize("at", ["pressure", "pressure_sha256"])
 def test_large_fields_hold_the_checksums_of_their_rows(comm, shared_tmp_path, monkeypatch, at):
-    """Above a size, no rank reads a whole file: it has no line in the manifest, and SHA-256 of each row, whatever the
-    number of ranks.  One flipped bit of a number, or of a checksum, is found.
-    """
+    """Large files have SHA-256 of each row in place of a line in the manifest; a flipped bit of either is found."""
     monkeypatch.setattr(files, "LARGEST_LISTED", FIELD.nbytes - 1)
     folder = shared_tmp_path / "out"
     written(comm, folder)
@@ -247,9 +243,7 @@ def contents(folder) -> dict:
 
 @pytest.mark.parametrize("what", ["inputs", "job", "version"])
 def test_only_the_same_run_is_continued(comm, shared_tmp_path, monkeypatch, what):
-    """Other content in a file that the job names, another load, another version of the program: each is refused by
-    --restart with what differs, on all ranks; the results stay byte for byte.
-    """
+    """--restart refuses other input files, another load or version by name, on all ranks, and changes no byte."""
     heights, folder = shared_tmp_path / "heights.npy", shared_tmp_path / "out"
     surface = np.cos(2 * np.pi * np.arange(16) / 16)[:, None] * np.ones(16)
     if comm.rank == 0:

@@ -311,8 +311,7 @@ REACHED = [  # under [load]; exit code of check and of the run; what both say
 
 @pytest.mark.parametrize(("load", "checked", "run", "words"), REACHED, ids=range(len(REACHED)))
 def test_check_tests_the_loads_as_a_run_does(tmp_path, capsys, load, checked, run, words):
-    """On a surface whose highest quarter is a plateau: `check` makes the surface, and says of each target that no load
-    gives what the run will say, in the same words."""
+    """On a plateau of a quarter of the cell `check` says of unreachable targets what the run will say, in its words."""
     np.save(tmp_path / "plateau.npy", np.kron([[1.0, 0.0], [0.0, 0.0]], np.ones((4, 4))))
     path = tmp_path / "job.toml"
     surface = '[surface]\nkind = "file"\npath = "plateau.npy"\n'
@@ -334,8 +333,7 @@ def test_check_says_what_it_does_not_test(tmp_path, capsys):
 def test_estimate_scales():
     """Ranks of one node share what one rank needs beside empty ranks, whose libraries count once.  A rank has its part
     and sees, of the strips (8 bytes per point), its rows of those of the other.  Files are counted byte for byte:
-    fields × points × width × loads.
-    """
+    fields × points × width × loads."""
     from pgfmd.application.estimate import BASE_BYTES, LIBRARY_BYTES, Plan
 
     job = config.parse(JOB, overrides=['output.fields=["height", "pressure"]', "output.precision=float32"])

@@ -14,8 +14,7 @@ pytestmark = [pytest.mark.mpi, pytest.mark.uneven]
 @pytest.mark.parametrize("kind", [InputError, SolverError, Uncertifiable, Unreachable, OSError, MemoryError])
 def test_all_ranks_raise_the_same_kind(comm, kind):
     """An error of the last rank, or of the first, is of its own kind on all ranks, so that those who catch it go on
-    together: `simulate` with the next load after Unreachable, a solver with another method unless Uncertifiable.
-    """
+    together: `simulate` with the next load after Unreachable, a solver with another method unless Uncertifiable."""
 
     def fails():
         raise kind("no such load")
@@ -47,9 +46,7 @@ def test_an_unknown_error_names_its_rank(comm):
 
 @pytest.mark.parametrize("kind", [InputError, SolverError, OSError])
 def test_errors_of_all_ranks_are_shared(comm, kind):
-    """What `raise_together` and `from_root` raise is shared by all ranks; also an InputError or SolverError that each
-    raises with the same text, such as one that follows from a sum over all ranks.
-    """
+    """Errors of `raise_together` and `from_root` are shared; so is an InputError or SolverError of the same text."""
 
     def fails():
         raise kind("no such load")
@@ -66,8 +63,7 @@ def test_errors_of_all_ranks_are_shared(comm, kind):
 
 def test_an_error_of_one_rank_is_not_shared(comm, monkeypatch):
     """An error that one rank raises, or each with another text, is not shared: whoever handled it by collective calls
-    would wait for ever.  Ranks without an error are not disturbed, and one that is alone waits once only.
-    """
+    would wait for ever.  Ranks without an error are not disturbed, and one that is alone waits once only."""
     if comm.size == 1:
         pytest.skip("one rank shares all of its errors")
     monkeypatch.setattr(mpi, "PATIENCE", 0.2)

@@ -67,9 +67,7 @@ def test_numbers_are_on_all_ranks(comm):
 
 
 def test_columns_with_errors_in_files_and_tables(comm, shared_tmp_path):
-    """A column has unit and description in the file; readers give it after those of every run; the text shows its error
-    beside the value; a load without it has NaN.
-    """
+    """Columns follow those of every run, with unit and description, their error beside the value, NaN where missing."""
     text = rough_job(16, {"lambda_s": 4.0}, load={"pressure": [0.01, 0.02]})
     origin = Origin(text, job.as_toml(job.parse(text)), 2)
     rows = SlabGrid(comm, (16, 16)).rows
@@ -106,9 +104,7 @@ def test_gap_slope(comm):
 
 
 def test_pressure_skewness(comm):
-    """pressure_skewness: of two pressures a < b with shares 1 − s and s it is (1 − 2s)/√(s(1 − s)), whatever a and b;
-    points out of contact do not count; equal pressures, or none, have none.
-    """
+    """Of contact pressures a < b with shares 1 − s and s: (1 − 2s)/√(s(1 − s)); NaN of equal pressures or none."""
     pressure = np.zeros((8, 10))
     pressure[1:5, ::2], pressure[2, 4] = 1e-9, 3.0  # 20 points in contact, one of them at 3
     kind, share = OBSERVABLES["pressure_skewness"](), 1 / 20

@@ -131,9 +131,7 @@ def test_contact_modulus_alone_leaves_the_rest_unknown():
 
 @pytest.mark.parametrize("given", [{}, {"thickness": 3.0, "base": "free"}])
 def test_a_solid_has_no_default_modulus(given):
-    """A job that gives no modulus is refused: `pgfmd.solve` counts pressures in units of E', earlier jobs had E' = 8/3.
-    The line says what to write, and what was taken in the past.
-    """
+    """A job without a modulus is refused (`solve` assumes 1, earlier jobs 8/3), with what to write."""
     with pytest.raises(InputError, match=r"^solid.contact_modulus is missing: .*both 1.0 where jobs of earlier"):
         config.Homogeneous(**given)
     with pytest.raises(InputError, match="solid.contact_modulus is missing"):
@@ -307,9 +305,7 @@ def test_differences_name_what_changed():
 
 
 def test_roll_off_of_format_1(caplog):
-    """Jobs for results of format_version 1 called the roll-off lambda_l and the longest wavelength lambda_r: the same
-    surface, with a warning.
-    """
+    """In format_version 1 lambda_l and lambda_r had each other's meaning: the same surface, with a warning."""
     rough = ROUGH.replace("lambda_s = 16.0", "lambda_s = 6\nlambda_l = {}\nlambda_r = {}")
     old, new = config.parse(rough.format(24, 48)), config.parse(rough.format(48, 24))
     assert old == new and config.as_toml(old) == config.as_toml(new)

@@ -87,9 +87,8 @@ def test_edge_of_a_winkler_foundation(m, k):
 
 @pytest.mark.parametrize(("m", "k"), [(1, 0), (2, 1), (4, 3)])
 def test_edge_is_continuous_and_tends_to_the_continuum(m, k):
-    """Moving the edge by one line of the grid is renumbering the lines; far inside p → √d, far outside
-    g → (4/3) |d|^1.5, with corrections of relative order 1/d² that are below 1 % at d = 4.
-    """
+    """Moving the edge by one line of the grid is renumbering the lines; far inside p → √d, far outside g → (4/3)
+    |d|^1.5, with corrections of relative order 1/d² that are below 1 % at d = 4."""
     edge = theory.lattice_edge(m, k, count=12 * (m + k))
     lines = np.arange(-6 * (m + k), 6 * (m + k))
     np.testing.assert_allclose(edge.signed(lines, 1.0)[1:], edge.signed(lines, 0.0)[:-1], rtol=1e-9, atol=1e-12)
@@ -101,8 +100,7 @@ def test_edge_is_continuous_and_tends_to_the_continuum(m, k):
 
 def test_edge_is_the_solution_on_the_grid(comm):
     """Next to the edge of a wide wave, solved on the grid, pressures and gaps have the ratios of the edge problem, for
-    the known place of the edge.  Terms of first order in distance over wavelength are left: at most 3π/1024 = 1 %.
-    """
+    the known place of the edge.  Terms of first order in distance over wavelength are left: at most 3π/1024 = 1 %."""
     n, fraction = 1024, 0.5
     grid = SlabGrid(comm, (n, 4))
     x, y = coordinates(grid)
@@ -132,9 +130,7 @@ def test_staircase_is_the_mean_shift():
 @pytest.mark.mpi("breadth")
 @pytest.mark.parametrize("direction", [(1, 0), (0, 1), (9, 1), (5, 2), (3, 2), (4, 4), (1, 8)])
 def test_straight_edges(comm, direction):
-    """The edges of waves of any direction lie within .02 a (rms over offsets; the bound asked for) of the exact ones,
-    and are right in length to 2 % (mean).
-    """
+    """Edges of waves of any direction lie within .02 a (rms over offsets) of the exact ones, lengths within 2 %."""
     n, rng = 128, np.random.default_rng(12)
     waves = math.hypot(*direction) / n
     grid = SlabGrid(comm, (n, n))
@@ -154,9 +150,8 @@ def test_straight_edges(comm, direction):
 @pytest.mark.mpi("breadth")
 @pytest.mark.parametrize("direction", [(1, 0), (9, 1), (3, 2), (4, 4)])
 def test_straight_edges_on_a_thin_slab(comm, direction):
-    """A slab of .02 pixels answers a wave Δ cos(qx) like springs: p = k Δ (cos qx − cos φ) for |qx| < φ, p̄ =
-    k Δ (sin φ − φ cos φ)/π.  The edges lie within .01 a of φ/q (rms); half-space edges lay .13 a outside.
-    """
+    """A slab of .02 pixels answers a wave Δ cos(qx) like springs: p = k Δ (cos qx − cos φ) for |qx| < φ, p̄ = k Δ (sin
+    φ − φ cos φ)/π.  The edges lie within .01 a of φ/q (rms); half-space edges lay .13 a outside."""
     n, rng = 128, np.random.default_rng(12)
     number = 2 * np.pi * math.hypot(*direction) / n
     grid, solid = SlabGrid(comm, (n, n)), elastic(1.0, 0.02)
@@ -204,9 +199,8 @@ def disc(grid, radius, centre, modulus=1.0):
 @pytest.mark.mpi("breadth")
 @pytest.mark.parametrize(("radius", "within"), [(1.5, 0.03), (4.0, 0.01), (10.0, 0.001)])
 def test_discs(comm, radius, within):
-    """Area of a Hertz contact about any centre, rms over centres: 1 % asked for at 4 pixels radius (counting: 7 %).
-    The errors are of the order of .1 pixel whatever the radius: 3 % at 1.5 pixels, .1 % at 10.
-    """
+    """Area of a Hertz contact about any centre, rms over centres: 1 % asked for at 4 pixels radius (counting: 7 %). The
+    errors are of the order of .1 pixel whatever the radius: 3 % at 1.5 pixels, .1 % at 10."""
     grid, rng = SlabGrid(comm, (64, 64)), np.random.default_rng(3)
     errors = []
     for _ in range(8):
@@ -238,9 +232,7 @@ def rough(grid, seed=5):
 
 
 def test_symmetries_and_units(comm):
-    """Area and length stay the same if the fields are moved or transposed, with other units of length and pressure, and
-    on one rank alone: to rounding.
-    """
+    """Fields moved or transposed, other units, one rank alone: the same area and length, to rounding."""
     grid, alone = SlabGrid(comm, (48, 48)), SlabGrid(MPI.COMM_SELF, (48, 48))
     whole = solve(alone, rough(alone), 0.3)
     expected = measure(alone, *whole)
@@ -256,9 +248,7 @@ def test_symmetries_and_units(comm):
 
 
 def test_patches_share_the_line(comm):
-    """Areas and perimeters of the patches add up to those of the contact, whatever the connectivity and
-    however the slabs cut them.
-    """
+    """Areas and perimeters of patches add up to those of the contact, for both connectivities and any slabs."""
     grid = SlabGrid(comm, (96, 64))
     pressure, gap = solve(grid, rough(grid), 0.05)
     line = contact_line(grid, pressure, gap, elastic(1.0))
@@ -279,8 +269,7 @@ def test_nothing_and_everything(comm):
 
 @pytest.mark.skipif(SIZE > 1, reason="once is enough")
 def test_pressures_and_gaps_that_vanish():
-    """Whatever of the pressures and gaps about a pair is next to nothing, as a solver may leave them at an edge, the
-    line passes within a pixel or two."""
+    """Whatever pressures and gaps about a pair are next to nothing, the line passes within two pixels."""
     random, tables = np.random.default_rng(3), Tables((edge_table(1.0).values,) * 2)
     for least in (5e-324, 1e-303, 1e-150, 1e-30):
         around = random.choice([-0.0, least, -least, 1e-3, -0.1], (8, 2000))
@@ -293,8 +282,7 @@ def test_pressures_and_gaps_that_vanish():
 @pytest.mark.parametrize("hurst", [0.3, 0.9])
 def test_no_line_where_roughness_goes_down_to_the_pixel(comm, hurst, wavelength, resolved):
     """The spectrum tells whether the grid resolves a surface, of which nothing else is known: from three points to its
-    shortest wave on there is a line.  On a slab much thinner than a pixel there always is.
-    """
+    shortest wave on there is a line.  On a slab much thinner than a pixel there always is."""
     grid = SlabGrid(comm, (64, 64))
     heights = self_affine(grid, hurst, wavelength, 0.1, 3)
     for thickness, expected in ((math.inf, resolved), (0.1, True)):

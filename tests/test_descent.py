@@ -84,9 +84,7 @@ def test_what_rounding_forbids_is_not_tried_again(comm, monkeypatch):
 
 
 def test_a_solver_that_fails_gives_its_memory_back(comm, monkeypatch):
-    """What the mesh, the blocks and the coarser grids allocated is freed where a solver fails on the grid or on the
-    next coarser one, as where it does not: only the grid itself has memory then.
-    """
+    """Whether and wherever a solver fails, only the grid itself still has memory of transforms."""
     monkeypatch.setattr(slab_grid, "MOST_MODES", 0)  # none is kept for the next grid
     alive, allocate, free = {}, transpose.Strips._allocate, transpose.Strips.free
 

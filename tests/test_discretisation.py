@@ -54,8 +54,7 @@ def measured(grid, heights, load, cutoff):
 def test_bars_hold_what_a_finer_grid_finds(comm):
     """Of 40 numbers of rough contacts (λ_s = 8a), 9 in 10 are meant to lie within their bars of those on a grid four
     times as fine, whose errors are some 50 times smaller, and bars to be about three times the errors in the middle.
-    Were the five numbers of a surface to fail together, 30 of 40 (6 surfaces of 8) would hold with a chance of .96.
-    """
+    Were the five numbers of a surface to fail together, 30 of 40 (6 surfaces of 8) would hold with a chance of .96."""
     held, ratios = [], []
     for seed, (hurst, load) in enumerate([(0.3, 0.03), (0.3, 0.15), (0.5, 0.01), (0.5, 0.4), (0.8, 0.03), (0.8, 0.15),
                                           (0.3, 0.4), (0.8, 0.01)]):  # fmt: skip
@@ -98,8 +97,7 @@ def test_long_waves_are_fourier_coefficients(comm):
 def test_residual_tells_the_error_of_the_mean_gap(comm, thickness):
     """To first order the level is wrong by the mean of the residual with the weights dp/dp̄, here from a coarser grid:
     of eight solutions to 1e-5, seven or more have the sign of the error, which is .7 to 1.6 times as large in the
-    middle; |r| itself is more than four times as large.
-    """
+    middle; |r| itself is more than four times as large."""
     ratios, sizes = [], []
     for seed in range(8):
         grid = SlabGrid(comm, (96, 96))
@@ -152,8 +150,7 @@ def numbers_of(contact):
 def test_bars_hold_where_roughness_reaches_the_pixel(wavelength):
     """On the same heights, interpolated onto a grid eight times finer, areas are within their bars, and so are the
     other numbers but for one of sixteen, which is what one in 20 leaves.  The areas are right to 3 %, where pixels
-    count 7 to 40 % too much.
-    """
+    count 7 to 40 % too much."""
     held = []
     for hurst, load in [(0.8, 0.001), (0.8, 0.02), (0.3, 0.005), (0.3, 0.05)]:
         heights = rough(128, wavelength, hurst)
@@ -173,8 +170,7 @@ def test_bars_hold_where_roughness_reaches_the_pixel(wavelength):
 @pytest.mark.parametrize("wavelength", [4.0, 2.0])
 def test_area_on_slabs_thinner_than_a_pixel(base, thickness, wavelength):
     """There the edge of a contact is that of the slab.  At λ_s = 4 pixels the area is right to .4 %, where the edge of
-    a half-space gave 1 to 11 % too much; it is within its bar.
-    """
+    a half-space gave 1 to 11 % too much; it is within its bar."""
     solid = elastic(1.0, thickness, base, 0.25)
     heights = rough(64, wavelength)
     load = 0.3 * float(solid.stiffness(np.array(1.0))) * heights.std() * 0.1
@@ -212,8 +208,7 @@ def test_bars_are_printed(comm, tmp_path):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_load_that_moves_between_regions_is_no_error(seed):
-    """Where a field follows the load, F = s p + rest, the changes are those of the rest alone: to rounding, for any
-    change of p that keeps its mean."""
+    """Where F = s p + rest, the changes are those of the rest, for any change of p that keeps its mean; to rounding."""
     rng = np.random.default_rng(seed)
 
     def waves(mean, size):
@@ -230,10 +225,8 @@ def test_load_that_moves_between_regions_is_no_error(seed):
 @pytest.mark.parametrize("law", [HardWall(), Hardness(hardness=0.4)], ids=["hard", "hardness"])
 def test_gap_errs_by_what_the_energy_lacks(comm, law):
     """(pg − w)/p̄ has the error of the mean gap, but for terms smaller by √a: here against a grid three times as fine.
-
     Of twelve surfaces, λ_s = 12a, the rms difference is about √(1/12) of the rms error; unrelated numbers of one size
-    would differ by 1.4, and without pg those of limited hardness do by more than 1.
-    """
+    would differ by 1.4, and without pg those of limited hardness do by more than 1."""
 
     def numbers(n, seed):
         grid = SlabGrid(comm, (n, n), (1.0, 1.0))
@@ -247,11 +240,9 @@ def test_gap_errs_by_what_the_energy_lacks(comm, law):
 
 @pytest.mark.mpi("breadth")
 def test_long_waves_of_the_gap_are_as_uncertain_as_its_mean(comm):
-    """Local errors of either sign have a white spectrum, so that long waves tell the size of the mean.
-
-    At f_c = .02, over twelve surfaces, the rms of the field's change in its long waves is that of its mean to a factor
-    of 2 (of 12 squares of Gaussian numbers: 1.9 once in 300 times).  As the load lies it would be three times as large.
-    """
+    """Local errors of either sign have a white spectrum, so that long waves tell the size of the mean.  At f_c = .02,
+    over twelve surfaces, the rms of the field's change in its long waves is that of its mean to a factor of 2 (of 12
+    squares of Gaussian numbers: 1.9 once in 300 times).  As the load lies it would be three times as large."""
 
     def waves(grid, heights):
         problem = ContactProblem(grid, heights, elastic(1.0), HardWall(), 0.01)

@@ -34,9 +34,7 @@ LINES = 10
 
 
 def equipped(folder):
-    """The folder with the commands `pgfmd` and `python` of this installation; `sbatch` runs a script at once, on two
-    ranks.
-    """
+    """The folder with this installation's `pgfmd` and `python`; `sbatch` runs a script at once on two ranks."""
     slurm = f'PYTHON="{sys.executable}" PGFMD_ROOT="{ROOT}" LAUNCH="mpirun -n 2"'
     for name, text in (
         ("pgfmd", f'exec "{sys.executable}" -m pgfmd "$@"'), ("python", f'exec "{sys.executable}" "$@"'),
@@ -114,8 +112,7 @@ def test_there_are_twenty():
 
 def test_the_same_problem_in_three_programs():
     """Where the other programs are installed, what the page on coming from them shows runs as it stands, and their
-    pressures are ours to 1e-3 of their norm, what the page says, and what our default tolerance leaves (`solve`).
-    """
+    pressures are ours to 1e-3 of their norm, what the page says, and what our default tolerance leaves (`solve`)."""
     text = (PAGES / "coming.md").read_text()
     rough = {"kind": "self-affine", "hurst": 0.8, "lambda_s": 16.0, "rms_slope": 0.1}
     heights = pgfmd.surface({"grid": {"n": 256}, "surface": rough})
@@ -135,8 +132,7 @@ def test_the_same_problem_in_three_programs():
 
 def test_two_programs_beside_the_reference_set(capsys):
     """⟨p²⟩ of one surface by tamaas and by ContactMechanics, as the pages show, agree to 1e-3, what their tolerances
-    leave, and lie within five scatters of a single surface (√8 standard errors of the mean of eight) of the set.
-    """
+    leave, and lie within five scatters of a single surface (√8 standard errors of the mean of eight) of the set."""
     found = {}
     task = next(task for task in TASKS if task.startswith("19. "))
     for program, text in (("tamaas", task), ("ContactMechanics", (PAGES / "reference-set.md").read_text())):
@@ -170,8 +166,7 @@ def test_the_site_is_complete_in_itself(site):
 
 
 def test_formulas_are_part_of_their_sentences(site):
-    """No $ is left outside code, also where a formula goes on over a line; none that begins a line ends its paragraph.
-    """
+    """No $ is left outside code, even over a line break; no formula at the start of a line ends its paragraph."""
     for page in site.glob("*.html"):
         text = re.sub(r"<(code|script)\b.*?</\1>", "", page.read_text(), flags=re.DOTALL)
         assert "$" not in text, page
@@ -181,9 +176,7 @@ def test_formulas_are_part_of_their_sentences(site):
 
 
 def test_the_site_says_what_counts_and_what_is_taken(site):
-    """Stiffness of slabs and layers as formulas, what is in contact under soft walls, and on the page of Python a table
-    with each parameter of `solve` and each field of a contact.
-    """
+    """It has stiffnesses as formulas, contact of soft walls, and each parameter of `solve` and field of a contact."""
     theory = (site / "theory.html").read_text()
     assert "Exponential walls and" in theory.partition("What counts as contact</h2>")[2] and "E'_2 / E'_1" not in theory
     rows = set(re.findall(r"<tr>\s*<td[^>]*><code>(\w+)</code>", (site / "api.html").read_text()))
@@ -197,9 +190,7 @@ def test_the_reference_is_that_of_the_source():
 
 
 def test_search_finds_each_key_and_each_column(site):
-    """Each key of a job, each column of the table of loads, also of observables, and each field is a word of the
-    reference in the index of the search, and the page stands in the navigation.
-    """
+    """Each key, column and field is a word of the reference in the search; the page stands in the navigation."""
     entries = json.loads((site / "search" / "search_index.json").read_text())["docs"]
     words = {word for entry in entries if entry["location"].startswith("reference.html")
              for word in re.findall(r"\w+", entry["text"])}  # fmt: skip

@@ -29,11 +29,9 @@ BASES = ("bonded", "free", "sliding")
 
 
 def combinations(z: Decimal, q: Decimal, nu: Decimal) -> tuple[list[Decimal], ...]:
-    """U, W, U', W' at height z as linear forms in four coefficients.
-
-    Waves u = (−i U(z), W(z)) exp(iqx) with W = (a + c z) cosh qz + (b + e z) sinh qz and
-    −U = (b + e z + k c) cosh qz + (a + c z + k e) sinh qz, k = (3 − 4ν)/q, solve Navier's equations.
-    """
+    """U, W, U', W' at height z as linear forms in four coefficients.  Waves u = (−i U(z), W(z)) exp(iqx) with W = (a +
+    c z) cosh qz + (b + e z) sinh qz and −U = (b + e z + k c) cosh qz + (a + c z + k e) sinh qz, k = (3 − 4ν)/q, solve
+    Navier's equations."""
     ch, sh = ((q * z).exp() + (-q * z).exp()) / 2, ((q * z).exp() - (-q * z).exp()) / 2
     k = (3 - 4 * nu) / q
     w = [ch, sh, z * ch, z * sh]
@@ -44,10 +42,8 @@ def combinations(z: Decimal, q: Decimal, nu: Decimal) -> tuple[list[Decimal], ..
 
 
 def direct_stiffness(q: float, thickness: float, base: str, poisson: float) -> float:
-    """Pressure per displacement of one wave on a slab of E' = 1: Navier's equations with boundary conditions.
-
-    Two conditions at the base z = 0; at the top z = d no shear stress and W = 1.  80 digits: nothing cancels.
-    """
+    """Pressure per displacement of one wave on a slab of E' = 1: Navier's equations with boundary conditions.  Two
+    conditions at the base z = 0; at the top z = d no shear stress and W = 1.  80 digits: nothing cancels."""
     with localcontext() as context:
         context.prec = DIGITS
         q, d, nu = Decimal(q), Decimal(thickness), Decimal(poisson)
@@ -182,8 +178,7 @@ def stresses(wave: tuple[list, ...], poisson: Decimal, modulus: Decimal) -> tupl
 
 def direct_factor(t: float, solid: Layered) -> float:
     """F of one wave, q = 1, d = t, from Navier's equations in layer and half-space: four waves in one, the two that
-    decay in the other; displacements and stresses are continuous, no shear stress and W = 1 at the top.
-    """
+    decay in the other; displacements and stresses are continuous, no shear stress and W = 1 at the top."""
     with localcontext() as context:
         context.prec = DIGITS
         nu, below = Decimal(solid.poisson), Decimal(solid.base_poisson)
@@ -202,8 +197,7 @@ def direct_factor(t: float, solid: Layered) -> float:
 @pytest.mark.parametrize("poisson", POISSONS)
 @pytest.mark.parametrize("ratio", RATIOS)
 def test_the_symbol_is_that_of_plane_strain(ratio, poisson):
-    """(E'/2) q F(qd) solves the six boundary conditions, to 1e-13: soft on stiff and stiff on soft, thin and thick,
-    nearly incompressible and auxetic."""
+    """(E'/2) q F(qd) to 1e-13: soft on stiff, stiff on soft, thin, thick, nearly incompressible and auxetic."""
     solid = layered(ratio, poisson)
     assert solid.factor(np.array(T)) == pytest.approx([direct_factor(t, solid) for t in T], rel=1e-13, abs=0)
 

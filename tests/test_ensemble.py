@@ -65,8 +65,7 @@ def test_wrong_seeds_are_refused(written):
 
 def test_each_seed_is_what_it_is_alone(comm, shared_tmp_path):
     """Results of a seed in an ensemble are those of a run of that seed alone, on any number of ranks: the same areas,
-    mean gaps to 1e-7 (both are certified to 1e-18, errors of second order in the gap).
-    """
+    mean gaps to 1e-7 (both are certified to 1e-18, errors of second order in the gap)."""
     found = pgfmd.run(JOB, shared_tmp_path / "all", comm=comm)
     assert found.status == "complete" and found.seeds == [3, 4, 5, 6, 7] and len(found) == 10
     for seed, run in zip(found.seeds, found.runs, strict=True):
@@ -77,9 +76,7 @@ def test_each_seed_is_what_it_is_alone(comm, shared_tmp_path):
 
 
 def test_means_and_standard_errors(comm, shared_tmp_path):
-    """Mean and σ/√n of numbers and curves are NumPy's over the seeds, in the file, in Python and in the table; what has
-    other axes for each seed (patches, histograms) has no mean.
-    """
+    """Mean and σ/√n are NumPy's, in file, Python and table; groups with other axes for each seed have no mean."""
     job = JOB | {"output": {"observables": ["spectra", "histogram", "patches", "discretisation"]}}
     found = pgfmd.run(job, shared_tmp_path / "out", comm=comm)
     areas = np.array([run.loads["contact_area"] for run in found.runs])
@@ -132,9 +129,7 @@ def test_means_leave_out_loads_that_were_not_solved(comm, shared_tmp_path):
 
 
 def test_a_seed_that_fails_does_not_stop_the_others(comm, shared_tmp_path, monkeypatch):
-    """One seed's solver fails: the other seeds are complete, the error and the ensemble name the seed and the reason,
-    and --restart does that seed alone.
-    """
+    """The other seeds are complete, error and ensemble name the seed and the reason, and --restart does it alone."""
     simulate = runner.simulate
 
     def stand_in(job, group, directory, **options):
@@ -154,8 +149,7 @@ def test_a_seed_that_fails_does_not_stop_the_others(comm, shared_tmp_path, monke
 
 def test_a_load_that_a_seed_cannot_reach_costs_it_no_other(comm, shared_tmp_path):
     """A displacement beyond the full contact of the lower surfaces: each seed solves the other load, whose mean is over
-    all of them.  The table, the file and the figure say over how many seeds each mean is; so does `check`.
-    """
+    all of them.  The table, the file and the figure say over how many seeds each mean is; so does `check`."""
     heights = {seed: pgfmd.surface(with_seeds(seed)) for seed in (3, 4, 5)}
     low, mid, high = sorted(float(field.max() - field.mean()) for field in heights.values())
     job = with_seeds([3, 4, 5], load={"displacement": [0.3 * low, (mid + high) / 2]})
@@ -180,9 +174,7 @@ def test_a_load_that_a_seed_cannot_reach_costs_it_no_other(comm, shared_tmp_path
 
 
 def test_more_seeds_are_added_by_restart(comm, shared_tmp_path):
-    """A longer list of seeds continues, also with another [run]; any other change is refused, with the key, and nothing
-    is touched.
-    """
+    """A longer list, also with another [run], continues; other changes are refused by key, and nothing is touched."""
     pgfmd.run(with_seeds([3, 4]), shared_tmp_path / "out", comm=comm)
     other = {"io_hints": ["cb_nodes=1"], "time_limit": 1e6}
     longer = pgfmd.run(with_seeds([3, 4, 9], run=other), shared_tmp_path / "out", comm=comm, restart=True)
@@ -211,9 +203,7 @@ def test_a_restart_mends_a_complete_seed(comm, shared_tmp_path):
 
 
 def test_an_overwriting_that_was_stopped_is_continued(comm, shared_tmp_path, monkeypatch):
-    """--overwrite by another job is stopped after its first seeds: the others, whose folders hold complete results of
-    the old job, are not in the means, and --restart does them anew.
-    """
+    """Where --overwrite is stopped, old results of the other seeds are in no mean, and --restart makes them anew."""
     folder = shared_tmp_path / "out"
     pgfmd.run(with_seeds([3, 4, 5, 6]), folder, comm=comm)
     other, simulate = with_seeds([3, 4, 5, 6], load={"pressure": [0.01]}), runner.simulate
@@ -309,9 +299,7 @@ def test_ranks_share_what_one_cannot_hold():
 
 @pytest.mark.mpi("breadth")
 def test_memory_is_judged_for_the_groups_that_run(comm, shared_tmp_path, monkeypatch):
-    """A node that holds one surface at a time, but not one for each rank, runs the ensemble: it is refused only if the
-    groups that are chosen for that memory do not fit.
-    """
+    """A node that holds one surface at a time runs an ensemble: refused is only what the chosen groups do not hold."""
     from pgfmd.application import estimate, machine
 
     if comm.size == 1:
@@ -337,9 +325,7 @@ def test_too_many_ranks_are_told_of_in_a_check(comm, tmp_path, capsys):
 
 
 def test_a_disk_that_fails_fails_the_seed(comm, shared_tmp_path, monkeypatch):
-    """A file of one seed cannot be synced by the rank that leads its group: that seed has failed, on all ranks alike,
-    and the ensemble is written.
-    """
+    """A file that the leader of a group cannot sync fails that seed, on all ranks alike; the ensemble is written."""
 
     def fails(folder):
         if folder.name == "seed_0006":
@@ -353,9 +339,7 @@ def test_a_disk_that_fails_fails_the_seed(comm, shared_tmp_path, monkeypatch):
 
 
 def test_a_seed_that_takes_too_much_memory_does_not_stop_the_others(comm, shared_tmp_path, monkeypatch):
-    """Where each rank has a surface of its own, a seed without memory is a seed that failed; and what it had taken is
-    free when the next one begins.
-    """
+    """With a rank for each surface, a seed without memory has failed; its memory is free before the next begins."""
     simulate, kept = runner.simulate, []
 
     class Big:
@@ -377,9 +361,7 @@ def test_a_seed_that_takes_too_much_memory_does_not_stop_the_others(comm, shared
 
 
 def test_each_seed_keeps_its_log(tmp_path, mpirun):
-    """The terminal has a line for each seed; the steps and loads of a seed are in its own run.log, whichever rank led
-    the group that ran it.
-    """
+    """The terminal has a line for each seed, its own run.log steps and loads, whichever rank led its group."""
     (tmp_path / "job.toml").write_text(tables_as_toml(JOB))
     done = mpirun(2, "-m", "pgfmd", "run", tmp_path / "job.toml", "--output", tmp_path / "out")
     assert done.returncode == 0, done.stderr

@@ -83,9 +83,7 @@ def sphere_text(n: int, radius: float) -> str:
 
 @pytest.mark.parametrize("radius", [0.05, 0.2, 0.4])
 def test_contacts_of_bodies_are_explored(radius):
-    """A sphere on an open patch: the area is πa²/L², the rectangle holds what lies above the approach, √2 a around the
-    middle; contact of more than half of the patch counts as all of it.
-    """
+    """A sphere on a patch: area πa²/L² in a rectangle of √2 a about the middle; over half of the patch, all of it."""
     asked = job.parse(sphere_text(512, radius))
     unknown, plan = estimate.Plan(asked), estimate.explored(asked)
     assert unknown.contact_areas() == [estimate.OPEN_AREA]
@@ -109,8 +107,7 @@ def test_memory_of_open_bodies(mpirun, tmp_path, n, radius):
 def test_nodes_hold_what_their_ranks_hold():
     """On several nodes each needs its part, and a second strip (8 bytes per point), of which rows for other nodes are
     packed: (1 − 1/nodes) of it.  Contact may be uneven over nodes: never less than its part.  Ranks of a node see one
-    strip, all of it.
-    """
+    strip, all of it."""
     one = job.parse(text_of(4096, 0.0032, {}))
     alone, apart = estimate.Plan(one).estimate(16), estimate.Plan(one).estimate(16, per_node=4)
     least = (alone.node - estimate.LIBRARY_BYTES) / 4 + 8 * 4096**2 / 4 * (1 - 1 / 4)
@@ -120,9 +117,7 @@ def test_nodes_hold_what_their_ranks_hold():
 
 @pytest.mark.parametrize("ranks, of", [(1, 1), (5, 2), (64, 16), (300, 300), (4096, 64)])
 def test_coarse_grids_of_a_node(ranks, of):
-    """The points that the first ranks hold of each grid are those of the rows that `Layout.spread` gives them, each of
-    these counted as the fullest.
-    """
+    """The first ranks hold the points of the rows that `Layout.spread` gives them, each counted as the fullest."""
     shape = (8192, 512)
     found, holding = largest_shares(shape, ranks, of), ranks
     for level, points in enumerate(found):
@@ -193,9 +188,7 @@ def test_memory_of_searches(mpirun, tmp_path, area):
 
 @pytest.mark.parametrize("pressure", [0.001, 0.01, 0.03])
 def test_a_search_costs_what_its_contact_costs(pressure):
-    """Where a mean gap is asked for, `check` knows about how large the contact is: its work is within a factor of 1.5
-    of that at the pressure.
-    """
+    """At a mean gap `check` guesses the contact: its work is within a factor of 1.5 of that at the pressure."""
     given = job.parse(text_of(128, pressure, {}))
     heights = given.surface.whole.heights(SlabGrid(ALONE, given.cell.n, given.cell.lengths), None)
     contact = pgfmd.solve(heights, pressure, contact_modulus=given.solid.contact_modulus)
@@ -262,8 +255,7 @@ def test_dynamics_take_longer():
 def test_a_small_shared_memory_is_told_of(monkeypatch):
     """Strips of 4096² take 8 bytes per point: a line says that 64 MB are too small for them on two ranks of one node;
     not for one rank, which shares with nobody, for half the grid on each of two nodes with one rank, or where the
-    library's transforms send messages anyway.
-    """
+    library's transforms send messages anyway."""
 
     def said(ranks, per_node=None, **solver):
         tables = {"grid": {"n": 4096}, "surface": {"kind": "sinusoid", "amplitude": 1.0}, "load": {"pressure": 0.1}}

@@ -102,10 +102,8 @@ def test_thin_walls_tend_to_the_hard_one(rough):
 @pytest.mark.parametrize("method", [solve_exponential_wall, solve_gfmd])
 @pytest.mark.parametrize("zeta", [2e-3, 0.05, 0.5])
 def test_the_certificate_is_of_second_order(rough, method, zeta):
-    """J(p) − J(p*) ≤ bound ≤ 6 (J(p) − J(p*)) at every look, with p* solved to 1e-14.
-
-    J(p) − J(p*) = ½‖p − p*‖²_G + ζ⟨p ln(p/p*)⟩.  In 330 states of 84 contacts the ratio was 1.0 to 3.8; 6 for others.
-    """
+    """J(p) − J(p*) ≤ bound ≤ 6 (J(p) − J(p*)) at every look, with p* solved to 1e-14.  J(p) − J(p*) = ½‖p − p*‖²_G +
+    ζ⟨p ln(p/p*)⟩.  In 330 states of 84 contacts the ratio was 1.0 to 3.8; 6 for others."""
     grid, heights = rough
     problem = ContactProblem(grid, heights, SOLID, ExponentialWall(zeta=zeta), 0.01)
     exact = solve_exponential_wall(problem, 1e-14)
@@ -193,10 +191,7 @@ def test_few_transforms_are_enough(comm):
 
 
 def test_contact_tends_to_that_of_the_hard_wall(rough):
-    """As ζ → 0 the contact area tends to the hard wall's from above, within the 1 % of points that bear little there.
-
-    What a soft wall adds is a rim whose width falls with ζ.
-    """
+    """As ζ → 0 its area, with a rim that narrows, tends to the hard wall's from above, within 1 % of weak points."""
     grid, heights = rough
     hard = solve_hard_wall(ContactProblem(grid, heights, SOLID, HardWall(), 0.01), 1e-9)
     solutions = [hard, *(solve(grid, heights, 0.01, zeta, tolerance=1e-9) for zeta in (1e-4, 1e-3, 3e-3, 1e-2))]
@@ -270,8 +265,7 @@ def test_pressure_on_points_that_cannot_touch_counts(comm, seed, zeta):
 
 
 def test_an_energy_that_rounding_hides_is_refused_at_once(comm, monkeypatch):
-    """Where p̄ is far below E', or far above it, the digits of a double hide the elastic energy: that is said, and no
-    thousands of steps of dynamics, no warning and no NaN follow."""
+    """For p̄ far from E' rounding hides the elastic energy: that is said, without dynamics, warnings or NaN."""
     heights = np.random.default_rng(1).standard_normal((12, 8))
     grid = SlabGrid(comm, heights.shape)
     monkeypatch.setattr(dispatch, "solve_gfmd", lambda *_, **__: pytest.fail("dynamics were tried"))
@@ -322,8 +316,7 @@ def test_newton_under_thin_plates(comm, seed):
 
 
 def test_a_start_whose_residual_vanishes_in_single_precision(comm):
-    """One point of 8 × 8 bears all, and the others 1e-150 of it: Newton's system is nothing to single precision, and
-    the answer is that of any other start, to 1e-5."""
+    """One point bears all, the others 1e-150 of it: the answer is that of any other start, to 1e-5."""
     heights = np.random.default_rng(1).standard_normal((8, 8))
     grid = SlabGrid(comm, heights.shape)
     problem = ContactProblem(grid, heights[grid.rows].copy(), elastic(1.0), ExponentialWall(zeta=0.01), 0.05)

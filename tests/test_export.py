@@ -43,8 +43,7 @@ WALLS = [None, {"kind": "hardness", "hardness": 1.0}, {"kind": "exponential", "z
 def test_fields_obey_the_equation_of_the_layout(tmp_path, wall, boundary):
     """gap = displacement − (heights − ⟨heights⟩) − mean_displacement, less the plastic depth; the displacement is the
     run's own field, of mean 0 or, on a patch, absolute; pressures are over the modulus; contacting points add up to the
-    area: to rounding.
-    """
+    area: to rounding."""
     plastic = wall is not None and wall["kind"] == "hardness"
     results = solved(tmp_path / "out", wall=wall, fields=FIELDS + ["plastic_depth"] * plastic, boundary=boundary)
     paths = export(results, tmp_path / "files")

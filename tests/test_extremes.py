@@ -78,9 +78,7 @@ SEED = 27
 
 @pytest.mark.parametrize("count", broad([20, 60]))
 def test_every_law_with_every_control(count):
-    """One trip of each of the 20 pairs, or three: none wrong; refused are areas of walls that touch everywhere, and
-    seldom others: full contact, or a gap that determines no load.
-    """
+    """None of the trips of 20 pairs is wrong; refused are areas of walls that touch everywhere, others seldom."""
     verdicts, refused = Counter(), Counter()
     for number, trip, outcome in round_trips.trips(SEED, 0, count):
         assert outcome.verdict != "wrong", f"seed {SEED}, trip {number}: {trip}: {outcome.detail}"
@@ -95,8 +93,7 @@ def test_every_law_with_every_control(count):
 @pytest.mark.parametrize("number", range(4))
 def test_the_gap_of_a_wall_with_a_plateau(number):
     """p = .5/(1 + exp 3g): the mean gap asked for comes back to 1e-4 of the rms height, the load of it to 1e-3.  On the
-    plateau −p/(dp/dgap) goes up to 3.6e12, of which 1e-4 met any gap.
-    """
+    plateau −p/(dp/dgap) goes up to 3.6e12, of which 1e-4 met any gap."""
     rough = {"kind": "self-affine", "hurst": 0.8, "lambda_s": 4.0, "rms_slope": 0.1 + 0.1 * number, "seed": number}
     heights = pgfmd.surface({"grid": {"n": 24}, "surface": rough})
     wall = {"kind": "formula", "pressure": "0.5 / (1 + exp(3 * gap))", "gaps": [-10, 12]}
@@ -129,9 +126,7 @@ NONE = {"all-to-alls": 0, "reductions": 0, "halos": 0}
 
 
 def test_points_are_divided_and_contact_is_not():
-    """Without messages and without what a call costs, a grid on P ranks takes 1/P of its time on one, but for contact,
-    which takes as many times more as its fullest slab has.
-    """
+    """Free of messages and calls, P ranks take 1/P of the time; contact takes that of its fullest slab."""
     known = Parts((COSTS, COSTS), 0.0, [NONE], 0.0, {1: 1.0, 16: 3.0}, {256: 1.0})
     one, many = model(1024, 1, known, FREE), model(1024, 16, known, FREE)
     assert one["transforms"] == pytest.approx(1024**2 * 1e-9) == one["contact"]
@@ -152,9 +147,7 @@ def test_ranks_take_turns_on_cores():
 
 
 def test_messages_are_counted():
-    """Two nodes: reductions take 2 log₂ 2 steps between them, halos two messages, an all-to-all one; bytes go through
-    the port that the ranks of a node share.
-    """
+    """Two nodes: 2 log₂ 2 steps for a reduction, two messages for a halo, one for an all-to-all; one port per node."""
     nothing = {phase: (0.0, 0.0) for phase in COMPUTED}
     counts = {"all-to-alls": 3, "reductions": 5, "halos": 7}
     known = Parts((nothing, nothing), 0.0, [counts], 18.0, {1: 1.0}, {256: 1.0})

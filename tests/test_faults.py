@@ -98,8 +98,7 @@ owner.put = failing
 @pytest.mark.parametrize(("kind", "ranks"), [("OSError", 4), ("InputError", 2), ("SolverError", 4)])
 def test_failure_on_one_rank_of_a_group_ends_an_ensemble(tmp_path, kind, ranks):
     """A rank fails while another of its group waits for it in the solver: whatever the error, the run ends, with one
-    message.  It is not a seed that failed, since the group cannot go on to the next.
-    """
+    message.  It is not a seed that failed, since the group cannot go on to the next."""
     script = tmp_path / "faulty.py"
     script.write_text(FAULTY.format(fault=FAULTY_SEED.format(error=f"{kind}('the last straw')", groups=ranks // 2)))
     surface = {"lambda_s": 8.0, "rms_slope": 0.03, "seed": [1, 2, 3]}
@@ -143,9 +142,7 @@ pgfmd.solve(np.split(heights, 2)[comm.rank], mean_gap=3.0, boundary="open", comm
 
 @pytest.mark.parametrize("script", broad([FAULTY_SOLVE, FAULTY_SEARCH]), ids=["a solution", "coarse grid of a search"])
 def test_failure_on_one_rank_ends_a_script(mpirun, tmp_path, script):
-    """An exception of one rank in `pgfmd.solve` leaves it there, without waiting for the others, so that
-    `python -m mpi4py` ends them all.
-    """
+    """An exception of one rank in `pgfmd.solve` does not wait for the others: `python -m mpi4py` ends them all."""
     (tmp_path / "script.py").write_text(script)
     run = mpirun(2, tmp_path / "script.py", timeout=120)
     assert run.returncode != 0 and "the last straw" in run.stderr
@@ -229,9 +226,7 @@ def test_full_disks(tmp_path):
 @pytest.mark.breadth
 @pytest.mark.parametrize("cause", ["none", "small"])
 def test_without_shared_memory(tmp_path, cause):
-    """Where the MPI library has no shared windows, or a file system that is too small for them, ranks exchange
-    messages: one line says so, and the pressures are those of one rank.
-    """
+    """Without shared windows, or space for them, ranks exchange messages, which one line says: the same pressures."""
     job = launching.write_job(tmp_path / "job.toml", 64, lambda_s=8, pressures=LOADS[:1])
     assert launching.wait(launching.start(1, "run", job, "--output", tmp_path / "one"))[0] == 0
     with small_disk(tmp_path / "disk", 2**14) if cause == "small" else nullcontext() as disk:

@@ -40,8 +40,7 @@ def solved(grid, heights, law, load, tolerance=1e-12, method="auto"):
 @pytest.mark.parametrize("zeta", [0.02, 0.3])
 def test_the_exponential_wall_as_a_formula(comm, zeta):
     """By the same dynamics the same pressure and gap to 1e-10, as both find the law's points to the last digits; an
-    error that is certified no smaller, and at most 2.2 times as large (twice the excess, where the law is straight).
-    """
+    error that is certified no smaller, and at most 2.2 times as large (twice the excess, where the law is straight)."""
     grid = SlabGrid(comm, (96, 80))
     heights = self_affine(grid, 0.8, 8.0, 0.1, 2)
     law = FormulaWall(pressure=f"0.7 * exp(-gap / {zeta})", gaps=(-30 * zeta, 300 * zeta))
@@ -56,8 +55,7 @@ def test_the_exponential_wall_as_a_formula(comm, zeta):
 
 def test_newton_is_that_of_the_exponential_wall(comm):
     """Given as a formula, an exponential wall has the pressure of the built-in one, to the 1e-8 that a tolerance of
-    1e-17 leaves, in at most as many iterations and a tenth more (steps are shortened by another rule).
-    """
+    1e-17 leaves, in at most as many iterations and a tenth more (steps are shortened by another rule)."""
     grid = SlabGrid(comm, (96, 80))
     heights = self_affine(grid, 0.8, 8.0, 0.1, 2)
     law = FormulaWall(pressure="0.7 * exp(-gap / 0.3)", gaps=(-9.0, 90.0))
@@ -101,8 +99,7 @@ def test_random_contacts_by_brute_force(comm, law):
     """Pressures of a tight solution obey the law where the gap is by a dense matrix in extended precision, to 1e-9 of
     the largest, as those of no other field with that mean do (the energy is convex).  Loosely solved, the error of the
     energy is not more than what is certified: with the dual energy φ as an integral of the gap over the pressure, by
-    Gauss' rule between the two pressures of each point, to its 1e-12.
-    """
+    Gauss' rule between the two pressures of each point, to its 1e-12."""
     text, exact, gaps = LAWS[law]
     nodes, weights = np.polynomial.legendre.leggauss(40)
     for seed in range(4):
@@ -148,8 +145,7 @@ def test_random_contacts_by_brute_force(comm, law):
 
 def test_its_ends(comm):
     """Closer than the first of `gaps` is a hard wall, beyond the second is nothing: p ≥ P(first) at the first, ≤
-    P(second) at the second, 0 beyond, and P in between, gaps to 1e-6 of the rms height (pressures are to 1e-6).
-    """
+    P(second) at the second, 0 beyond, and P in between, gaps to 1e-6 of the rms height (pressures are to 1e-6)."""
     grid = SlabGrid(comm, (64, 64))
     heights = self_affine(grid, 0.8, 8.0, 0.1, 4)
     law = FormulaWall(pressure="0.05 - 0.02 * gap", gaps=(0.5, 1.5))
@@ -197,8 +193,7 @@ RANGES = {
 @pytest.mark.parametrize("text", RANGES)
 def test_the_range_is_that_at_a_pressure(text):
     """−p/(dp/dgap), in any units, by hand; 0 in a jump and where the wall is closed.  It is constant between the nodes
-    of the table, which are 1/256 of the gaps apart at most: to 15 %, as on the plateau it grows by exp(3 · 22/256).
-    """
+    of the table, which are 1/256 of the gaps apart at most: to 15 %, as on the plateau it grows by exp(3 · 22/256)."""
     gaps, exact, pressures = RANGES[text]
     law = FormulaWall(pressure=text, gaps=gaps)
     for p in pressures:
@@ -214,8 +209,7 @@ def test_the_range_is_that_at_a_pressure(text):
 )
 def test_gaps_beyond_its_ends_are_refused(comm, control, high):
     """Between its smallest gap, where contact is full, and first touch at its largest, where the formula becomes 0;
-    with `--all` a tenth below that one, where Newton's method takes hundreds of steps.
-    """
+    with `--all` a tenth below that one, where Newton's method takes hundreds of steps."""
     grid = SlabGrid(comm, (16, 16))
     heights = self_affine(grid, 0.8, 8.0, 0.1, 1)
     summit = grid.reduction.max(heights) - grid.reduction.sum(heights) / grid.size
@@ -234,9 +228,7 @@ def test_gaps_beyond_its_ends_are_refused(comm, control, high):
 @pytest.mark.parametrize("text", ["(0.3 / gap)**7", "exp(-gap)", "2 - gap if gap < 1 else 0.8 / gap", "erfc(gap)"])
 @pytest.mark.parametrize("compliance", [1e-3, 1.0, 1e3])
 def test_points_of_the_graph(text, compliance):
-    """Points are on the line α p − g = t, and on the graph: the pressure is that of a gap which differs by the last
-    digits, or between the pressures on both sides of a jump.
-    """
+    """Points obey α p − g = t and lie on the graph, to the last digits of the gap, or between both sides of a jump."""
     random = np.random.default_rng(5)
     gaps = (0.1, 2.0)
     law = FormulaWall(pressure=text, gaps=gaps)
@@ -316,9 +308,7 @@ def test_gaps_are_two_numbers(gaps):
 
 
 def test_the_table_is_dense():
-    """From node to node the pressure falls by a tenth at most, but for a jump, whose nodes touch; ranges, by hand, are
-    those of the formula, and 0 in a jump and beyond both ends.
-    """
+    """Pressures fall by a tenth at most between nodes, but in a jump, whose nodes touch; ranges are those by hand."""
     law = FormulaWall(pressure="exp(-40 * gap) if gap < 0.7 else 1e-20 * (2 - gap)", gaps=(0.0, 1.5))
     graph = law.graph
     steep = graph.pressures[:-1] > 1.1 * graph.pressures[1:]

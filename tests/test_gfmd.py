@@ -84,8 +84,7 @@ def test_a_rough_surface_agrees_with_the_exponential_wall(comm):
 
 @pytest.mark.parametrize("base", ["bonded", "free", "sliding"])
 def test_slabs_agree_with_the_hard_wall(comm, base):
-    """A slab of 8 pixels, ν = 0.4: pressures to 1e-5 with each base.  The two are named: "auto" could answer both by
-    dynamics."""
+    """A slab of 8 pixels, ν = 0.4: pressures of both named methods agree to 1e-5 with each base."""
     grid = SlabGrid(comm, (64, 64))
     heights, solid = self_affine(grid, 0.8, 8.0, 0.1, 2), elastic(1.0, 8.0, base, 0.4)
     one = solve_gfmd(ContactProblem(grid, heights, solid, HardWall(), 0.01), tolerance=1e-13)
@@ -106,9 +105,7 @@ def test_limited_hardness_agrees_with_the_active_set(comm, hardness):
 
 @pytest.mark.parametrize("wall", [HardWall(), Hardness(hardness=0.05), ExponentialWall(zeta=0.05)])
 def test_progress_shows_the_contact_area(comm, wall):
-    """Every method's last step on the finest grid counts the points in contact as its solution does, to the last digit
-    of a threshold.
-    """
+    """Each method's last step on the finest grid counts as many points in contact as its solution, to one."""
     grid = SlabGrid(comm, (64, 64))
     problem = ContactProblem(grid, self_affine(grid, 0.8, 4.0, 0.1, 2), SOLID, wall, 0.01)
     for method in wall.methods:

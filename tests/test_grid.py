@@ -60,9 +60,7 @@ def test_transforms_between_nodes(comm, monkeypatch, shape, dtype):
 
 
 def test_one_node_without_shared_memory(comm, monkeypatch, caplog):
-    """One node lacks shared memory: strips of all ranks are exchanged, and one line on rank 0 says so, however many
-    grids there are.
-    """
+    """Where one node lacks shared memory all strips are exchanged; rank 0 says so once for all grids."""
     if comm.size == 1:
         pytest.skip("one rank shares with nobody")
     transpose._warn.cache_clear()
@@ -80,9 +78,7 @@ def test_one_node_without_shared_memory(comm, monkeypatch, caplog):
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 @pytest.mark.parametrize("shape", [(9, 8), (300, 290), (11, 600)])
 def test_nodes_that_are_not_alike(comm, monkeypatch, caplog, shape, dtype):
-    """Nodes of all ranks but one and of one, either way round, and of 1, n − 2 and 1: spectra are right, each rank
-    sends one message to every other node, and one line says so.
-    """
+    """Nodes of 1 and n − 1, n − 1 and 1, and 1, n − 2 and 1 ranks: one message to each other node, and one line."""
     if comm.size < 3:
         pytest.skip("two nodes that differ have three ranks")
     caplog.set_level("INFO", "pgfmd")
@@ -144,10 +140,9 @@ class Node:
 @pytest.mark.parametrize(("n", "nodes"), [(65536, 2), (131072, 2), (131072, 8)])
 @pytest.mark.parametrize("kind", ["c8", "c16"])
 def test_messages_between_nodes_have_32_bit_counts(tmp_path, monkeypatch, n, nodes, kind):
-    """Of grids that fill two nodes, counts and displacements are below 2³¹, in blocks of items that make up whole
-    rows: of this rank's rows those columns that each other node has, one node after another; and rows of the strip
-    where they belong.
-    """
+    """Of grids that fill two nodes, counts and displacements are below 2³¹, in blocks of items that make up whole rows:
+    of this rank's rows those columns that each other node has, one node after another; and rows of the strip where they
+    belong."""
     ranks, path, pieces = 64 * nodes, tmp_path / "memory", []
 
     def allocate(self, node, count, any_shared):
@@ -330,9 +325,7 @@ def test_restriction_keeps_the_long_waves(comm, monkeypatch, fine, coarse, least
 @pytest.mark.parametrize("shape", [(12, 8), (9, 7), (6, 1), (5, 2)])
 @pytest.mark.parametrize("factor", [2, 3])
 def test_fourier_interpolation_keeps_points_and_modes(comm, shape, factor):
-    """The finer field has the points of the coarser one, and none of its modes lies beyond the coarser Nyquist
-    frequencies, on which it has as much at either sign.
-    """
+    """The coarser points stay; no mode lies beyond their Nyquist frequencies, where each sign has as much."""
     coarse, fine = (SlabGrid(comm, (k * shape[0], k * shape[1]), (3.0, 4.0)) for k in (1, factor))
     whole = field(shape)
     found = fine.fetch(interpolate(coarse, fine, whole[coarse.rows].copy()), 0, fine.shape[0])
@@ -349,8 +342,7 @@ def test_fourier_interpolation_keeps_points_and_modes(comm, shape, factor):
 @pytest.mark.parametrize("least", [1, 16])
 def test_local_restriction_is_the_adjoint_of_interpolation(comm, monkeypatch, fine, coarse, least):
     """Each coarse point is the mean of the fine ones with the weights by which interpolation takes a peak there to
-    them, here from `Interpolation` itself; in single precision, on any number of ranks, the field far from 0 or not.
-    """
+    them, here from `Interpolation` itself; in single precision, on any number of ranks, the field far from 0 or not."""
     monkeypatch.setattr(grid_cost, "SMALL", 0)
     big = SlabGrid(comm, fine, (3.0, 4.0))
     small = SubGrid(big, coarse, big.lengths, least)
@@ -391,9 +383,7 @@ def test_interpolation_is_exact_for_cubics(comm, shape):
 
 
 def test_coarser_grids_lie_on_fewer_ranks(comm):
-    """All ranks together hold each grid once, none more than rank 0, of which `check` knows how much; ranks without
-    rows learn what the others found, or its failure.
-    """
+    """Ranks hold each grid once, rank 0 as much as `check` knows; others learn the result, or its failure."""
     fine = SlabGrid(comm, (1024, 300))
     shares, place = grid_cost.largest_shares(fine.shape, comm.size), SubGrid.coarse(fine)
     for share in shares[1:]:
@@ -441,9 +431,7 @@ def test_error_of_all_ranks_of_a_smaller_grid(comm, kind):
 
 @pytest.mark.parametrize("error", [SolverError, MemoryError])
 def test_error_of_one_rank_of_a_smaller_grid(comm, monkeypatch, error):
-    """An error that only the last of the ranks with rows has is raised there, not lost, and without a message to the
-    ranks that would wait for it elsewhere.
-    """
+    """An error of the last rank with rows is raised there; no message disturbs those that wait elsewhere."""
     monkeypatch.setattr(mpi, "PATIENCE", 0.1)
     place = SubGrid(SlabGrid(comm, (32, 2100)), (32, 2100), (1.0, 1.0))  # on two ranks
 

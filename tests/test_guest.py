@@ -86,8 +86,7 @@ print(Look.seen)
 
 def test_private_parts_of_libraries_have_an_upper_bound():
     """The package needs a library below some version where it imports what that may change at any time: a name that
-    begins with an underscore, or of `numba.core`, which numba's documentation calls internal.
-    """
+    begins with an underscore, or of `numba.core`, which numba's documentation calls internal."""
     needed = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
     bounded = {re.split("[<>=]", need)[0] for need in needed if "<" in need}
     private = set()
@@ -138,9 +137,7 @@ def test_a_forked_worker():
 
 @pytest.mark.breadth
 def test_a_thousand_calls_take_no_more_memory():
-    """The memory of the process grows by less than the 2 MB, 2 kB a call, that pages of allocators may come to: one
-    field of 16 × 16 points takes as much.
-    """
+    """Less than 2 MB, 2 kB a call, which allocators' pages may come to; one field of 16 × 16 points takes as much."""
     code = """
 import gc, numpy as np, pgfmd
 rng = np.random.default_rng(1)

@@ -35,10 +35,8 @@ def corrected_area(pressure):
 
 
 def westergaard(comm, n, load=0.5):
-    """Errors (L1, L2, L∞ of the pressure, mean gap, energy, half-width in pixels) on n × 4 points.
-
-    The crest lies midway between two points, so that the edge of contact falls on none.
-    """
+    """Errors (L1, L2, L∞ of the pressure, mean gap, energy, half-width in pixels) on n × 4 points.  The crest lies
+    midway between two points, so that the edge of contact falls on none."""
     grid = SlabGrid(comm, (n, 4), (1.0, 4 / n))
     x = (coordinates(grid)[0] * np.ones((1, 4)) + 0.5 / n + 0.5) % 1.0 - 0.5
     theory = exact.Westergaard(1.0, 1.0, MODULUS)
@@ -174,8 +172,7 @@ def test_solution_obeys_the_contact_conditions(comm, shape, load):
 def test_certificate_is_a_sharp_bound(comm, lambda_s, load):
     """J(p) − J(p*) ≤ the certificate ≤ 2.5 times that (measured at most 1.5 here, 2.0 at 256²), from single pixels to
     nearly full contact, with p* certified to 1e-20; the pressure error is estimated within a factor: between .05 and 2
-    of it is true.  Loads in units of the stress of full contact.
-    """
+    of it is true.  Loads in units of the stress of full contact."""
     grid = SlabGrid(comm, (96, 80))
     heights = self_affine(grid, 0.5, lambda_s, 0.031, 1)
     q = np.sqrt(grid.q_squared())
@@ -270,8 +267,7 @@ def test_tolerance_is_met(comm, tolerance):
 
 
 def solved(comm, heights, load, start=None, tolerance=1e-20):
-    """Whole pressure of a whole surface, solved to 1e-20 on the ranks of comm (so that pressures, which err by the root
-    of that, agree to 1e-9); and the solution."""
+    """Pressure of a whole surface, to 1e-20 on the ranks of comm, so that pressures agree to 1e-9; and the solution."""
     grid = SlabGrid(comm, heights.shape)
     found = solve_hard_wall(
         ContactProblem(grid, heights[grid.rows].copy(), elastic(1.0), HardWall(), load), tolerance, start=start
@@ -316,10 +312,8 @@ def test_energy_follows_the_gap(comm, rough):
 
 @pytest.mark.parametrize("lambda_s", [1.0, 8.0])
 def test_pressures_or_gaps_as_unknowns(comm, monkeypatch, lambda_s):
-    """Half in contact, solved for the pressures of these points or for the gaps of the others: the same answer.
-
-    The mean gap errs by the square root of the energy error, here 1e-10.
-    """
+    """Half in contact, solved for the pressures of these points or for the gaps of the others: the same answer.  The
+    mean gap errs by the square root of the energy error, here 1e-10."""
     grid = SlabGrid(comm, (96, 80))
     heights = self_affine(grid, 0.5, lambda_s, 0.031, 1)
     found = []
@@ -396,8 +390,7 @@ def test_heights_are_kept_unless_given_away(comm, rough):
 @pytest.mark.parametrize("seed", range(2))
 def test_one_step_sees_how_the_set_of_unknowns_changes(comm, seed):
     """One step with the mesh's response divides ⟨r, Mr⟩ by 1000, of the 10⁴ asked for.  A linear solve that divides the
-    residual by 7 could do no better than 49, since the set of unknowns is that of another load.
-    """
+    residual by 7 could do no better than 49, since the set of unknowns is that of another load."""
     grid = SlabGrid(comm, (256, 256))
     heights = self_affine(grid, 0.8, 8.0, 0.031, seed)
     start, problem = (ContactProblem(grid, heights, elastic(MODULUS), HardWall(), p) for p in (0.004, 0.0044))
@@ -435,8 +428,7 @@ def test_transforms_do_not_grow_with_the_scales(n, wavelength, hurst, pressure, 
 @pytest.mark.parametrize(("shape", "sides", "most"), [((8192, 128), (1, 1), 9), ((512, 512), (1, 4), 5)])
 @pytest.mark.parametrize("pressure", [0.01, 0.15])
 def test_strips_and_oblong_pixels_take_few_transforms(shape, sides, most, pressure):
-    """A certified 1e-8 within so many transform pairs, where grids and mesh coarsen by length (36 and 8 to 10 before).
-    """
+    """A certified 1e-8 within so many pairs, where grids and mesh coarsen by length (36 and 8 to 10 before)."""
     if MPI.COMM_WORLD.size > 1:
         pytest.skip("the counts are those of one rank")
     waves = [2 * np.pi * np.fft.fftfreq(n, side) for n, side in zip(shape, sides, strict=True)]

@@ -39,8 +39,7 @@ def solved(grid, heights, load, hardness, tolerance=1e-20, solid=None, method="a
 
 
 def random_contact(seed: int):
-    """Heights of up to 16², white or self-affine, a load from light to full contact, a hardness of 1 to 300 times the
-    load, a half-space or a slab; and the reference of it."""
+    """A random contact of up to 16², from light to full, hardness up to 300 p̄, half-space or slab; its reference."""
     random = np.random.default_rng(seed)
     shape = tuple(int(n) for n in random.choice([8, 12, 16], 2))
     heights = random.standard_normal(shape)
@@ -104,8 +103,7 @@ def test_a_hardness_that_is_not_reached_is_a_hard_wall(comm, load):
 @pytest.mark.parametrize("load", [1e-4, 1e-8, 1e-10, 1e-12])
 def test_light_loads_are_carried(comm, load, share):
     """Where the load displaces points by 1e-4 … 1e-12 of the roughness, few points bear it: all of it, to 1e-12, none
-    more than σ_Y = share · p̄, with the pressures of the reference to 1e-3 of the largest (energies to 1e-8).
-    """
+    more than σ_Y = share · p̄, with the pressures of the reference to 1e-3 of the largest (energies to 1e-8)."""
     heights = np.random.default_rng(1).standard_normal((12, 16))
     grid = SlabGrid(comm, heights.shape)
     found = solved(grid, heights[grid.rows], load, share * load, 1e-8, elastic(1.0))
@@ -119,8 +117,7 @@ def test_light_loads_are_carried(comm, load, share):
 @pytest.mark.parametrize("part", [0.5, 0.9, 0.999, 0.99999])
 def test_at_a_load_of_the_hardness_all_points_bear_it(comm, part):
     """p̄ → σ_Y: f_c ≥ p̄/σ_Y, and pressures differ from σ_Y by what is missing.  Where that is small their rounding
-    weighs the more: some 1e-29 of the energy over its square.
-    """
+    weighs the more: some 1e-29 of the energy over its square."""
     grid = SlabGrid(comm, (64, 80))
     heights, hardness = self_affine(grid, 0.5, 1.0, 0.031, 3), 1e-3
     tolerance = max(1e-20, 1e-29 / (1 - part) ** 2)
@@ -162,8 +159,7 @@ def test_rough_surfaces(comm, load, hardness):
 )
 def test_what_overlaps_bears_the_hardness_to_the_last_digit(comm, seed, method):
     """Energies are of first order in what is missing there: one digit, 1e-16, would be above what is certified.  For
-    these loads and hardnesses, one in twelve of all, (σ_Y/p̄) p̄ is not σ_Y in double precision.
-    """
+    these loads and hardnesses, one in twelve of all, (σ_Y/p̄) p̄ is not σ_Y in double precision."""
     random = np.random.default_rng(seed)
     heights = random.standard_normal((12, 16))
     load = hardness = 1.0
@@ -222,8 +218,7 @@ def test_imposed_areas_and_gaps_are_found_below_the_hardness(comm, part):
 @pytest.mark.parametrize("target", [0.6, 0.05, 1e-3])
 def test_an_imposed_mean_gap_is_that_of_what_is_open(comm, target):
     """The mean of the gap, which is nowhere negative, is the one asked for, to 1e-4 of it, though the wall has yielded
-    by more than that; and the solid's surface, Gp from a transform, is where gap, heights and plastic depth say.
-    """
+    by more than that; and the solid's surface, Gp from a transform, is where gap, heights and plastic depth say."""
     grid, law = SlabGrid(comm, (32, 32)), Hardness(hardness=0.05)
     heights = self_affine(grid, 0.8, 8.0, 0.2, 1)
     problem = ContactProblem(grid, heights, elastic(1.0), law)
@@ -241,8 +236,7 @@ def test_an_imposed_mean_gap_is_that_of_what_is_open(comm, target):
 
 def test_a_surface_keeps_the_shape_to_which_it_has_yielded(comm):
     """The heights less the plastic depth touch as before under the same load, without yielding again, also where no
-    hardness limits the pressure; under a lower load more of them touches than of the virgin surface.
-    """
+    hardness limits the pressure; under a lower load more of them touches than of the virgin surface."""
     grid, load = SlabGrid(comm, (48, 48)), 0.01
     heights = self_affine(grid, 0.8, 8.0, 0.2, 1)
     virgin = solved(grid, heights, load, 0.05, 1e-16)
@@ -263,8 +257,7 @@ def test_a_surface_keeps_the_shape_to_which_it_has_yielded(comm):
 )  # fmt: skip
 def test_loads_that_decrease_are_refused(comm, control, loading):
     """A list that unloads would return virgin states: one line names the key and the remedy, in jobs and in Python.
-    Lists that load are taken, and so are lists of any order under a hard wall.
-    """
+    Lists that load are taken, and so are lists of any order under a hard wall."""
     grid, law = SlabGrid(comm, (16, 16)), Hardness(hardness=0.05)
     problem = ContactProblem(grid, self_affine(grid, 0.8, 8.0, 0.1, 1), elastic(1.0), law)
     LoadControl(Load(**{control: loading}), problem)
@@ -295,9 +288,7 @@ def test_displacements_beyond_full_yielding_are_refused(comm):
 
 
 def test_a_run_keeps_the_plastic_depth(comm, shared_tmp_path):
-    """The field, and its mean in the table; the displacement is gap + height − plastic depth, less its mean; a restart
-    may add a higher load, not a lower one.
-    """
+    """Displacement is gap + height − plastic depth, less its mean; a restart may add higher loads, not lower ones."""
     folder = shared_tmp_path / "run"
 
     def job(*loads):
@@ -326,9 +317,7 @@ def test_a_run_keeps_the_plastic_depth(comm, shared_tmp_path):
 
 @pytest.mark.parametrize("part", [0.1, 0.2, 0.5, 0.9])
 def test_no_area_bears_more_than_the_hardness(comm, part):
-    """σ_Y times the corrected area is at least the load, of the whole and of each patch, where most of the edge bears
-    σ_Y; and the pixels count more.
-    """
+    """σ_Y times the corrected area is at least the load, of the whole and of each patch; pixels count more."""
     grid = SlabGrid(comm, (64, 64))
     heights, law = self_affine(grid, 0.8, 8.0, 0.1, 3), Hardness(hardness=0.01)
     problem = ContactProblem(grid, heights, elastic(1.0), law, part * law.hardness)

@@ -107,9 +107,7 @@ def test_mirror_images_need_twice_the_points(comm, shared_tmp_path, tilted):
 
 
 def test_text_is_what_npy_is(comm, shared_tmp_path, tilted):
-    """A bare matrix of numbers, as `numpy.savetxt` writes it, is bit for bit the surface that .npy gives: line i is at
-    x = i aₓ, in the job's units.
-    """
+    """A matrix by `numpy.savetxt` is bit for bit the surface of the .npy: line i is at x = i aₓ, in the job's units."""
     path = saved(comm, shared_tmp_path / "a.txt", lambda path: np.savetxt(path, tilted))
     grid = SlabGrid(comm, SHAPE, (1.0, 2.0))
     assert np.array_equal(whole(grid, read_heights(grid, path, length_unit="length")), tilted)
@@ -211,8 +209,7 @@ def filled(heights, spacing):
 def test_missing_points(comm, shared_tmp_path, suffix, seed):
     """Points that were not measured, up to half of them, edges included, are filled with what a dense solver of
     Laplace's equation gives, to 1e-10, on any number of ranks, mirrored or turned, before the plane is taken out; by
-    default if they are at most a third, on request always or never.
-    """
+    default if they are at most a third, on request always or never."""
     chance = np.random.default_rng(seed)
     heights = chance.normal(size=SHAPE)
     gone = chance.random(SHAPE) < (0.02, 0.3, 0.45)[seed]
@@ -243,8 +240,7 @@ def test_missing_points(comm, shared_tmp_path, suffix, seed):
 
 @pytest.mark.parametrize("exponent", [-600, 600])
 def test_holes_are_filled_in_any_unit(comm, exponent):
-    """Heights times a power of two are filled with those times that power, bit by bit, though their squares are 0 or
-    infinite."""
+    """Heights times a power of two are filled with those times it, bit by bit, though squares are 0 or infinite."""
     grid, chance = SlabGrid(comm, SHAPE), np.random.default_rng(1)
     heights = np.where(chance.random(SHAPE) < 0.3, np.nan, chance.normal(size=SHAPE))[grid.rows]
     other = np.ldexp(heights, exponent)
@@ -331,9 +327,7 @@ def test_check_opens_the_file(tmp_path):
 
 
 def test_fingerprint(comm, shared_tmp_path, tilted):
-    """It tells any other heights or unit, on any number of ranks alike; not other things in the file.  A text's is that
-    of its bytes.
-    """
+    """It tells other heights or units, alike on any ranks, and nothing else in the file; a text's is of its bytes."""
     chance = np.random.default_rng(4)
     found = set()
     for number in range(6):

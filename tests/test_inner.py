@@ -92,9 +92,7 @@ def test_halo_of_a_set(shape):
 @pytest.mark.parametrize("count", [1, (comm.size + 1) // 2, comm.size])
 @pytest.mark.parametrize("beyond", [(0, 0), (-3, 2), (-40, 35)])
 def test_window_of_rows(beyond, count):
-    """Rows around the own ones, from as many ranks and periods as it takes, each time anew, also where some ranks have
-    none of their own; and back to those that hold them, where all are added up.
-    """
+    """Rows beyond the own ones, from any ranks and periods, each time anew; and back, added up, to their holders."""
     held, rank = Layout.spread(comm, 23, count), comm.rank
     rows = held.rows
     window = RowWindow(held, (23 * rank // comm.size + beyond[0], 23 * (rank + 1) // comm.size + beyond[1]), 4)
@@ -139,9 +137,7 @@ class Planned(alone.Comm):
 # Three for each factor of 4: 64 → 16 → 4 → 1.
 @pytest.mark.parametrize(("ranks", "most"), [(4, 3), (16, 6), (32, 7), (64, 9), (256, 12)])
 def test_no_rank_meets_all_others(ranks, most):
-    """Rows that come to one rank, and go back, are few messages for any rank: 9 on 64 ranks, where one from each other
-    would be 63, and in the mean over the ranks less than 3.
-    """
+    """Rows to one rank and back are few messages for any rank, 9 on 64 ranks, and less than 3 in the mean."""
     for back in (False, True):
         messages = np.zeros(ranks, int)
         for rank in range(ranks):
@@ -156,8 +152,7 @@ def test_no_rank_meets_all_others(ranks, most):
 @pytest.mark.parametrize("joined", [layout.JOINED, 0])
 def test_rows_travel_together(monkeypatch, joined):
     """What several plans bring and take back in one exchange is what each does alone, with at most one message to each
-    partner and one from each; parts too large to be copied go by themselves.
-    """
+    partner and one from each; parts too large to be copied go by themselves."""
     monkeypatch.setattr(layout, "JOINED", joined)
     grid = SlabGrid(comm, (23, 6))
     first, stop = grid.rows.start, grid.rows.stop
@@ -296,8 +291,7 @@ def test_preconditioner_is_symmetric_and_positive(monkeypatch, shape, fewest, sm
 
 @pytest.mark.parametrize("shape", [(64, 300), (37, 41), (600, 20), (5, 3)])
 def test_means_over_blocks_of_the_residual(shape):
-    """Blocks of 16, 64 and 256 pixels, by their definition on the whole grid; the rows beside a slab too, where they
-    lie in the same block whatever the number of ranks."""
+    """Blocks of 16, 64 and 256 pixels by definition, also beside a slab, for any number of ranks."""
     grid, rng = SlabGrid(comm, shape), np.random.default_rng(4)
     p = rng.choice([0.0, 0.5, 1.0], shape, p=[0.9, 0.08, 0.02])
     p[:, 64:200] = 0
@@ -353,8 +347,7 @@ def test_pressures_between_two_bounds_carry_the_load(load):
 
 def test_preconditioner_answers_long_waves_weakly(monkeypatch):
     """On a sparse set, the load that a wave asks for falls with its wave number, as the stiffness does; blocks of one
-    size alone answer the longest as strongly as one eight times shorter.
-    """
+    size alone answer the longest as strongly as one eight times shorter."""
     grid = SlabGrid(comm, (512, 512))
     clumps = np.random.default_rng(4).random((128, 128)) < 0.3
     mask = np.repeat(np.repeat(clumps, 4, axis=0), 4, axis=1)[grid.rows]
@@ -374,9 +367,7 @@ def test_preconditioner_answers_long_waves_weakly(monkeypatch):
 
 @pytest.mark.parametrize("n", [256, 640])
 def test_a_mountain_in_one_slab(n):
-    """All contact in one slab, coarser grids distributed or not: the same pressure as on one rank, also from a start;
-    the monitor sees it where it belongs.
-    """
+    """All contact in one slab: the pressure of one rank, also from a start; the monitor sees it where it belongs."""
     seen = []
     x, y = (np.arange(n) / n - 0.16)[:, None], (np.arange(n) / n - 0.5)[None, :]
     heights = -72.8 * n / 256 * (x**2 + y**2)
@@ -402,8 +393,7 @@ def test_a_mountain_in_one_slab(n):
 
 @pytest.mark.parametrize(("error", "goal"), [(np.inf, 6e-2), (0.8, 6e-2), (4e-3, 2e-4), (1e-14, 1e-8), (0.0, 1e-8)])
 def test_coarse_grids_aim_at_a_part_of_their_first_error(error, goal):
-    """A twentieth, three times that of a rough start, a tenth of it with gaps as unknowns, within limits: also a start
-    without error has one."""
+    """A twentieth, three times that of a rough start, a tenth of it for gaps, within limits, also without error."""
     assert PressureSteps.goal(error, 1e-12) == pytest.approx(goal)
     assert PressureSteps.goal(error, 1e-3) == pytest.approx(max(goal, 2.5e-4))
     assert GapSteps.goal(error, 1e-12) == pytest.approx(max(goal / 10, 1e-8))

@@ -63,8 +63,7 @@ def wheel(tmp_path_factory) -> Path:
 
 
 def test_what_the_wheel_holds(wheel):
-    """Every module of the package and no other, the mark that it is typed, and in its metadata the extras, the licence,
-    the command and the README."""
+    """Every module and no other, the mark that it is typed, extras, licence, the command and the README."""
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
         (info,) = {name.split("/")[0] for name in names if ".dist-info/" in name}
@@ -81,8 +80,7 @@ def test_what_the_wheel_holds(wheel):
 
 @pytest.mark.breadth  # it installs a whole environment: 42 s of a processor
 def test_pip_is_enough(wheel, tmp_path, comm):
-    """In an empty environment, from an empty folder: one process solves a contact; with the extra `mpi` the mpirun that
-    pip brought runs two ranks, which write the numbers that this installation writes."""
+    """In an empty environment one process solves; with extra `mpi`, pip's mpirun runs two ranks: the same numbers."""
     environment, empty = tmp_path / "environment", tmp_path / "empty folder"
     empty.mkdir()
     assert call(sys.executable, "-m", "venv", environment, folder=empty).returncode == 0

@@ -137,8 +137,7 @@ def test_archives_of_several_files(comm, shared_tmp_path):
 
 @pytest.mark.mpi
 def test_holes_are_counted_in_the_log(comm, shared_tmp_path, caplog, monkeypatch):
-    """A line says how many points of the file were filled, a warning if they are more than a hundredth; mirror images
-    do not count."""
+    """It says how many points of the file, without images, were filled; over a hundredth of them is a warning."""
     monkeypatch.setattr(logging.getLogger("pgfmd"), "propagate", True)
     caplog.set_level(logging.INFO, "pgfmd")
     for holes, level in ((1, logging.INFO), (5, logging.WARNING)):
@@ -165,8 +164,7 @@ def topography(heights, **options):
 @pytest.mark.mpi
 def test_a_topography_is_solved_as_its_heights(comm, caplog, monkeypatch):
     """Its spacing is taken, undefined points are filled as those of a file, edges that do not match are warned of
-    unless it is periodic; another spacing or too many holes are refused.  Bit for bit, on any number of ranks.
-    """
+    unless it is periodic; another spacing or too many holes are refused.  Bit for bit, on any number of ranks."""
     monkeypatch.setattr(logging.getLogger("pgfmd"), "propagate", True)
     x = np.arange(32) / 32
     heights = np.cos(2 * np.pi * x)[:, None] * np.cos(2 * np.pi * x[:16] * 2) + 2 * x[:, None]

@@ -57,8 +57,7 @@ def test_strips_in_tiles(rng):
 
 @pytest.mark.parametrize(("dtype", "close"), [(np.float64, 1e-15), (np.float32, 1e-6)])
 def test_scale_by_q(dtype, close, rng):
-    """block · factor |q|, and block · factor/|q|, zero for the mean mode; to rounding of a square root and two
-    products."""
+    """block · factor |q| and block · factor/|q|, zero for the mean mode; to rounding of a root and two products."""
     qx, qy = rng.random(8).astype(dtype), rng.random(3).astype(dtype)
     qx[0] = qy[0] = 0
     q = np.hypot(qx[None, :], qy[:, None])
@@ -230,8 +229,7 @@ def test_products_of_spectra(rng):
 
 
 def test_start_rows(rng):
-    """Contact where compliance · p exceeds the gap to the new heights, with the coarse pressure and that which flattens
-    a part of them."""
+    """Contact where compliance · p exceeds the gap to new heights, with pressures that flatten a part of them."""
     p, g, coarse, h = rng.random((4, 9, 7))
     pressure, gap = np.empty((2, 9, 7))
     contact_from_coarse.start_rows((p, g, coarse), h, 0.3, (pressure, gap))

@@ -62,8 +62,7 @@ def campaign(tmp_path, n: int, kills: int, interval: float):
 
 def changed(tmp_path, n: int, kills: int):
     """Complete results are replaced by runs of other heights, of another job, or of another version, each killed at a
-    random moment: what is there is what was, or what was to be, and goes on as that and as nothing else.
-    """
+    random moment: what is there is what was, or what was to be, and goes on as that and as nothing else."""
     seed = time.time_ns()
     print(f"seed {seed}")
     chance, lengths = random.Random(seed), []
@@ -178,9 +177,7 @@ def test_thirty_killed_replacements(tmp_path):
 
 
 def test_killed_runs_go_on(tmp_path):
-    """Killed at a random moment, in a way drawn by chance (one rank, all, or by mpirun): restarted on any rank count,
-    the result is that of an undisturbed run.
-    """
+    """Killed at random, in a way drawn by chance, and restarted on any ranks: the result of an undisturbed run."""
     campaign(tmp_path, 128, 1, 0.1)
 
 

@@ -1,7 +1,4 @@
-"""Imports point down: between the folders of the package, and between the files of a folder.
-
-The order is not written here: it is derived from the imports in the source, which must leave no circle.
-"""
+"""Imports point down, between the folders of the package and between the files of a folder: they form no circle."""
 
 from __future__ import annotations
 

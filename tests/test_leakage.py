@@ -72,9 +72,7 @@ def test_units_may_be_any(comm, unit):
 
 @pytest.mark.parametrize("axis", [0, 1])
 def test_plates_and_profiles(comm, axis):
-    """Between plates K = g³; with g a function of the place along the flow K is the harmonic mean of g³, across it the
-    mean, on oblong pixels too; to 1e-10.
-    """
+    """Between plates K = g³; of profiles the harmonic mean of g³ along the flow, the mean across it; to 1e-10."""
     profile = 1 + 0.6 * np.cos(2 * np.pi * np.arange(18) / 18)
     along = np.repeat(profile[:, None], 14, axis=1)
     expected = {"plates": 0.5**3, "series": 1 / np.mean(profile**-3.0), "parallel": np.mean(profile**3)}
@@ -113,8 +111,7 @@ def test_duality(comm):
 @pytest.mark.parametrize("many", [0, 70_000])
 def test_bounds_enclose_a_direct_solution(comm, monkeypatch, many):
     """On networks with holes and contrasts to 1e6, the bounds enclose the direct solution and are as near as asked; the
-    flux is balanced in each point, and the same through any cut.  1e-9: rounding of the direct solution.
-    """
+    flux is balanced in each point, and the same through any cut.  1e-9: rounding of the direct solution."""
     monkeypatch.setattr(multigrid, "MANY", many)
     rng = np.random.default_rng(9)
     for case in range(12):
@@ -141,8 +138,7 @@ def test_bounds_enclose_a_direct_solution(comm, monkeypatch, many):
 @pytest.mark.parametrize("contrast", [1.0, 1e20])
 def test_elimination_keeps_all_digits(contrast):
     """Potentials of a source at one point and a sink at the last one of its component, on random graphs with lone
-    points, parallel faces and faces to the point itself, are those of rational arithmetic, each to 1e-14 of itself.
-    """
+    points, parallel faces and faces to the point itself, are those of rational arithmetic, each to 1e-14 of itself."""
     rng = np.random.default_rng(4)
     for points in (1, 2, 9, 20):
         ends = rng.integers(0, points, (2, 2 * points))
@@ -177,8 +173,7 @@ def test_elimination_keeps_all_digits(contrast):
 
 def test_elimination_of_a_plane():
     """Of 2500 points in a plane, where over 8 faces per point are kept, the flow of the potentials is that of sparse
-    LU; the elimination is not begun if more points have many faces than are allowed.
-    """
+    LU; the elimination is not begun if more points have many faces than are allowed."""
     points = np.arange(2500).reshape(50, 50)
     ends = np.concatenate([[points.ravel(), np.roll(points, -1, axis).ravel()] for axis in (0, 1)], axis=1)
     both = np.concatenate([ends, ends[::-1]], axis=1)
@@ -210,8 +205,7 @@ def test_contrast(comm):
 
 def test_single_precision_is_counted(comm, monkeypatch):
     """Plates beside a deeper pool, which sets the unit: the bounds enclose the exact K though conductances are rounded,
-    as for wide bounds.  Without that allowance they would be closer than the rounding.
-    """
+    as for wide bounds.  Without that allowance they would be closer than the rounding."""
     monkeypatch.setattr(network, "SINGLE", 0.0)
     for gap in np.linspace(0.3, 0.9, 12):
         field = np.full((16, 12), gap)
@@ -225,8 +219,7 @@ def test_single_precision_is_counted(comm, monkeypatch):
 
 @pytest.mark.parametrize("lengths", [(6.0, 6e35), (6e35, 6.0)])
 def test_long_pixels_are_not_rounded_away(lengths):
-    """Across pixels of 1e35 : 1, conductances beyond single precision: a shallow column, whose two faces to the deep
-    ones decide, bounds the flow."""
+    """Pixels of 1e35 : 1, beyond single precision: a shallow column, by its two faces, bounds the flow."""
     gap = np.full((6, 6), 0.01)
     gap[:, 0] = 3e-5
     gap[3, 2] = 1  # sets the unit
@@ -239,8 +232,7 @@ def test_long_pixels_are_not_rounded_away(lengths):
     "shortest, pressure, many", [(8, 0.17, 3000), (2, 0.1, 3000), (2, 0.14, 3000), (2, 0.1, 100)]
 )
 def test_pools_near_closure(monkeypatch, shortest, pressure, many):
-    """With pools behind narrow constrictions steps are as few as elsewhere, also where roughness reaches the pixel, and
-    if few of the points on rank 0 are eliminated."""
+    """Pools behind narrow constrictions, roughness down to the pixel, little elimination: steps stay as few."""
     monkeypatch.setattr(multigrid, "MANY", many)
     n = 512
     q = np.hypot(np.fft.fftfreq(n)[:, None], np.fft.rfftfreq(n))
@@ -297,9 +289,7 @@ def test_one_direction():
 
 
 def test_extrapolated_factors_and_their_error_bars(comm):
-    """From 8 points per shortest wave, factors are within their error bars of those from 32.  Where no path
-    percolates but on the half grid, the factor is 0.
-    """
+    """Factors from 8 points per wave are within their bars of those from 32; 0 if only the half grid percolates."""
     if comm.size > 1:
         pytest.skip("once is enough")
     held = []

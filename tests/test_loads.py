@@ -83,9 +83,7 @@ def test_areas_are_met_within_half_a_per_cent_in_few_solutions(rough):
     ],
 )
 def test_under_a_hard_wall_one_solution_meets_a_target(rough, control, target):
-    """The solver prescribes the level of contact, or where most points touch the mean gap: one call, and the load read
-    off gives the target by itself.
-    """
+    """The solver prescribes the level of contact, or the mean gap: one call, whose load gives the target by itself."""
     grid, heights = rough
     rms = math.sqrt(grid.reduction.dot(heights, heights) / grid.size)
     counted = Counted(control, grid, heights)
@@ -121,9 +119,7 @@ def test_a_load_starts_from_its_neighbour_where_that_pays(comm, step, starts):
 
 
 def test_threads_make_no_collective_call(comm, monkeypatch):
-    """Mean and rms height of a search are of bands of rows that threads sum: what is the same on all ranks is known
-    before, as threads of different ranks would meet in other orders, or not at all.
-    """
+    """Threads sum heights in bands: ranks must not meet in there, as threads of others come in other orders."""
     grid = SlabGrid(comm, (32, 8))
     heights = 3.0 + self_affine(grid, 0.8, 8.0, 0.1, 1)
     control = CONTROLS["contact_area"](ContactProblem(grid, heights, SOLID, HardWall()), Load(contact_area=(0.1,)))
@@ -263,11 +259,9 @@ def test_energy_and_gap_belong_together(rough):
 
 @pytest.mark.parametrize("scale", [1e-60, 1e-6, 1e-3, 0.3, 0.97])
 def test_the_load_at_an_approach_is_right_to_the_tolerance(rough, scale):
-    """A displacement and the mean gap that belongs to it give one load, to the tolerance that both were given.
-
-    d ln p̄/d ln(approach) lies between 1 (few points touch) and some 5 (nearly full contact, where the tolerance is
-    relative to the gap that is left): loads agree to 10 tolerances.
-    """
+    """A displacement and the mean gap that belongs to it give one load, to the tolerance that both were given.  d ln
+    p̄/d ln(approach) lies between 1 (few points touch) and some 5 (nearly full contact, where the tolerance is relative
+    to the gap that is left): loads agree to 10 tolerances."""
     grid, heights = rough
     summit = grid.reduction.max(heights) - grid.reduction.sum(heights) / grid.size
     one = Counted("displacement", grid, heights, gap_tolerance=1e-3).solution(scale * summit)
@@ -303,16 +297,14 @@ def test_a_tolerance_beyond_rounding_is_refused_by_its_name(rough, control):
 
 @pytest.mark.parametrize("control", ["displacement", "mean_gap"])
 def test_a_target_of_1e_300_is_no_division_by_zero(rough, control):
-    """A displacement that needs a pressure below 1e-120 E' is refused; a mean gap of 1e-300 is 0 to rounding, which no
-    pressure reaches."""
+    """A displacement that needs less than 1e-120 E' is refused, and so is a mean gap that is 0 to rounding."""
     with pytest.raises((InputError, SolverError), match=r"must lie between|load\.mean_gap = 1e-300"):
         Counted(control, *rough).solution(1e-300)
 
 
 @pytest.mark.parametrize("control", ["pressure", "mean_gap"])
 def test_a_failure_names_the_key_that_asked_for_the_tolerance(rough, control):
-    """Where rounding forbids solver.tolerance the message names that key, and the load; one of the search's own, which
-    nobody asked for, is not put in its place."""
+    """It names solver.tolerance and the load where rounding forbids them, not a tolerance of the search's own."""
     counted = Counted(control, *rough, tolerance=1e-40)
     with pytest.raises(SolverError, match=f"load.{control} = 0.3: solver.tolerance = 1e-40: .*(rounding|digits)"):
         counted.solution(0.3)
@@ -360,8 +352,7 @@ def test_areas_below_first_contact_are_not_reachable(comm):
 
 def test_heights_far_from_zero_keep_their_mean_gap(comm):
     """Heights of 7e9 rms heights above 0, and the same without that constant, which is subtracted without rounding: at
-    a mean gap that is met to 1e-7 the mean pressures agree, though the mean of the heights is known to 1e-6 only.
-    """
+    a mean gap that is met to 1e-7 the mean pressures agree, though the mean of the heights is known to 1e-6 only."""
     grid = SlabGrid(comm, (14, 13))
     heights = (np.random.default_rng(4).standard_normal(grid.shape) + 7.3e9)[grid.rows]
     found = []
@@ -385,10 +376,8 @@ def test_a_flat_surface_is_flat_whatever_its_height(comm):
 
 @pytest.mark.parametrize("target", [0.3, 0.55, 0.7])
 def test_a_search_does_not_go_to_and_fro(target):
-    """Where the area changes more than Persson's theory says, steps back and forth shrink: thirty meet any load.
-
-    The area here is erf(p̄⁴): with steps as that theory has them p̄ would go from one load to another and back.
-    """
+    """Where the area changes more than Persson's theory says, steps back and forth shrink: thirty meet any load.  The
+    area here is erf(p̄⁴): with steps as that theory has them p̄ would go from one load to another and back."""
     size, load = 10**8, 0.4
     aim = Aim(Imposed(1e-3, area=target), {size: 0.5}, pressure=load)
     for _ in range(30):

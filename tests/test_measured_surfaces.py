@@ -63,8 +63,7 @@ TABLES = {
 
 @pytest.mark.parametrize("table", TABLES)
 def test_tables_of_a_spreadsheet(comm, shared_tmp_path, heights, table):
-    """A .csv with lines of words before the numbers, with quotes, decimal commas, comments: the numbers, bit for bit,
-    and it is said that the words were not read."""
+    """A .csv with words first, quotes, decimal commas, comments: its numbers, bit for bit; unread words are told of."""
     rows = [[repr(float(value)) for value in row] for row in heights]
     text = TABLES[table].format(
         "\n".join(map(",".join, rows)),

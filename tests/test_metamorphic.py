@@ -113,8 +113,7 @@ def alike(ones, others, moved=lambda field: field, room=1e-5):
 
 def room_of(case) -> float:
     """Pressures certified to 1e-12 agree to 1e-5.  Gaps are met to 1e-4, and pressures change up to ten times as much.
-    Areas jump: loads between two jumps are all right.
-    """
+    Areas jump: loads between two jumps are all right."""
     return {"pressure": 1e-5, "contact_area": 0.1}.get(case[2], 1e-3)
 
 
@@ -151,8 +150,7 @@ MOVES = {
 @pytest.mark.mpi("breadth")
 @pytest.mark.parametrize("case", SOME, ids=" ".join)
 def test_moves(comm, shared_tmp_path, plain, case):
-    """A surface that is shifted, turned, mirrored or repeated (in turns, over all four solids and all controls): so are
-    its pressures."""
+    """A surface shifted, turned, mirrored or repeated (in turns over solids and controls): so are its pressures."""
     wall, solid, control = place(case)
     moved = list(MOVES.values())[(wall + solid + control * (1 if case[0] == "hardness" else 2)) % 4]
     after = contacts(comm, shared_tmp_path / "after", np.ascontiguousarray(moved(heights())), case)
@@ -165,8 +163,7 @@ ANY_ORDER = [case for case in CASES if case[1] in ("half-space", "free") and cas
 @pytest.mark.mpi("breadth")
 @pytest.mark.parametrize("case", ANY_ORDER, ids=" ".join)
 def test_order_of_loads(comm, shared_tmp_path, plain, case):
-    """Loads in another order, each from another one before it: the same pressures.  (A wall that yields remembers its
-    loads: it refuses falling ones.)"""
+    """Loads in another order, from other starts: the same pressures.  (A wall that yields refuses falling loads.)"""
     back = contacts(comm, shared_tmp_path / "back", heights(), case, targets=TARGETS[case[2]][::-1])
     alike(plain(case), back[::-1], room=room_of(case))
 
@@ -183,8 +180,7 @@ def test_rank_count(comm, shared_tmp_path, plain, case):
 
 
 class StopsIn(Interruptions):
-    """Interruptions by a signal that arrives after the first step of the load with that number, of those this run
-    solves."""
+    """Interruptions by a signal after the first step of the load with that number, of those this run solves."""
 
     def __init__(self, comm, folder, number):
         super().__init__(comm, folder, math.inf, math.inf)
@@ -214,8 +210,7 @@ COSTS = ("iterations", "transforms", "seconds", "pressure_error", "certified_err
 def test_restart(comm, shared_tmp_path, case):
     """A run of one load, stopped in it, continued with a load added, stopped in that, and continued again: the rows of
     a run that never stopped.  Other heights, and another value of any key but those of [run], are refused in between,
-    and nothing is touched.
-    """
+    and nothing is touched."""
     run, there, both = shared_tmp_path / "run", shared_tmp_path / "run" / "out", TARGETS[case[2]]
     for number, targets in ((1, both[:1]), (2, both)):
         job = job_of(comm, run, heights(), case, targets=targets)

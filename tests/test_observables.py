@@ -93,9 +93,7 @@ def ring_means(edges, place, value):
 @pytest.mark.parametrize("bins", [("log", 20), ("log", 4), ("linear", 7)])
 def test_spectra_are_brute_force_sums(comm, shape, lengths, bins):
     """Each spectrum is the mean over all modes of a ring of |f̃|², f̃ = (1/N) Σ f exp(−iq·r); cross: of Re h̃* σ̃.
-
-    Both sides round at 1e-16 of the largest mode; the cross spectrum is a difference of sums, hence its margin.
-    """
+    Both sides round at 1e-16 of the largest mode; the cross spectrum is a difference of sums, hence its margin."""
     found = observe(comm, shape, lengths, spectra={"spacing": bins[0], "bins": bins[1]})
     heights, pressure = fields(shape)
     h, p, c = (whole_transform(f) / f.size for f in (heights, pressure, (pressure > 0).astype(float)))
@@ -145,10 +143,8 @@ def test_zero_lag_of_the_autocorrelations(comm, shape, lengths):
 
 def sum_rule_residuals(grid, pressure):
     """How far spectra and real-space means of a distributed pressure are from obeying the exact rules, relatively.
-
-    |Θ̃(0)|² = f_c², |σ̃(0)|² = ⟨σ⟩², Σ |Θ̃|² = f_c, Σ |σ̃|² = ⟨σ²⟩, and with m₂ = ⟨σ²⟩ f_c/⟨σ⟩² f_c Σ_{q≠0} |f̃|²/|f̃(0)|² is
-    1 − f_c for the contact and m₂ − f_c for the stress.
-    """
+    |Θ̃(0)|² = f_c², |σ̃(0)|² = ⟨σ⟩², Σ |Θ̃|² = f_c, Σ |σ̃|² = ⟨σ²⟩, and with m₂ = ⟨σ²⟩ f_c/⟨σ⟩² f_c Σ_{q≠0}
+    |f̃|²/|f̃(0)|² is 1 − f_c for the contact and m₂ − f_c for the stress."""
     modes = mode_rings(grid, binning.wave_number_bins(grid.shape, grid.lengths))
     c, s = (correlate(grid, fill, modes).power for fill in (indicator(pressure, 0.0), source(pressure)))
     sums = pressure > 0, pressure, pressure**2
@@ -166,10 +162,8 @@ def sum_rule_residuals(grid, pressure):
 
 @pytest.mark.parametrize("n", [96, pytest.param(4096, marks=pytest.mark.long)])
 def test_sum_rules(comm, n):
-    """The exact sum rules of stress and contact spectra to 1e-10: N roundings of 1e-16 add up.
-
-    They hold for any field, here a rough one that is cut off at zero, with f_c near 0.08.
-    """
+    """The exact sum rules of stress and contact spectra to 1e-10: N roundings of 1e-16 add up.  They hold for any
+    field, here a rough one that is cut off at zero, with f_c near 0.08."""
     grid = SlabGrid(comm, (n, n))
     heights = self_affine(grid, 0.3, 1, 0.031, 3)
     height = np.sqrt(grid.reduction.dot(heights, heights) / grid.size)
@@ -199,10 +193,8 @@ def test_spectra_of_all_modes(comm):
 
 @CASES
 def test_groups_do_not_depend_on_ranks(comm, shape, lengths):
-    """All groups on these ranks are those of one rank: counts, bins and thresholds bit for bit, sums to rounding.
-
-    A fit is found where its misfit is lowest: to the square root of rounding.
-    """
+    """All groups on these ranks are those of one rank: counts, bins and thresholds bit for bit, sums to rounding.  A
+    fit is found where its misfit is lowest: to the square root of rounding."""
     together, alone = observe(comm, shape, lengths), observe(MPI.COMM_SELF, shape, lengths)
     assert together.keys() == alone.keys()
     for group, columns in alone.items():
@@ -265,9 +257,7 @@ def test_memory(comm):
 
 @CASES
 def test_area_counts_pixels_and_edges(comm, shape, lengths):
-    """f_c and the edges along both axes with the wrap, against NumPy; S_d is the patches' sum.  Without a contact line
-    nothing is corrected.
-    """
+    """f_c and periodic edges by NumPy; S_d is the patches' sum; without a contact line nothing is corrected."""
     pressure = fields(shape)[1]
     grid = SlabGrid(comm, shape, lengths)
     area, mask = contact_area(grid, pressure[grid.rows].copy(), None), pressure > 0
@@ -406,9 +396,7 @@ def test_lowpass_removes_short_waves(comm):
 
 def test_area_of_the_low_passed_surface(comm):
     """f(q) of a 2-D sinusoid with a ripple that q leaves out is the sinusoid's own: A = 0.1905 at f = 0.1, to 0.003.
-
-    That is the area inside the contact line; that of the pixels is larger.
-    """
+    That is the area inside the contact line; that of the pixels is larger."""
     grid = SlabGrid(comm, (512, 512), (1.0, 1.0))
     heights = sinusoid(grid, 0.01, (1, 1)) + sinusoid(grid, 0.001, (40, 40))
     load = 0.1 * np.sqrt(2) * np.pi * MODULUS * 0.01
@@ -431,11 +419,8 @@ def test_area_of_the_low_passed_surface(comm):
 
 
 def test_area_is_that_of_the_finest_grid(comm):
-    """f(q) from coarse grids agrees with the same low-passed surfaces solved on the full grid, inside their
-    contact lines, to .5 %.
-
-    8 points per wave err by up to .2 % for a spectrum that ends there, a few patches by more.
-    """
+    """f(q) from coarse grids agrees with the same low-passed surfaces solved on the full grid, inside their contact
+    lines, to .5 %.  8 points per wave err by up to .2 % for a spectrum that ends there, a few patches by more."""
     grid, solid = SlabGrid(comm, (256, 256)), elastic(MODULUS)
     heights = self_affine(grid, 0.5, 4, 0.05, 5)
     problem = ContactProblem(grid, heights, solid, HardWall(), 0.01)
@@ -462,8 +447,7 @@ def test_area_of_a_surface_without_waves(comm):
 
 
 def test_no_contact_has_a_negative_area(comm):
-    """At a load that a single pixel bears, the area inside the line is positive, and not above that of the pixels: a
-    line drawn around one pixel enclosed less than nothing."""
+    """At a load that one pixel bears, the area inside the line is positive and not above that of the pixels."""
     grid = SlabGrid(comm, (64, 64))
     problem = ContactProblem(grid, self_affine(grid, 0.8, 16, 0.1, 1), elastic(1.0), HardWall(), 1e-9)
     solution = solve_hard_wall(problem, 1e-8)
@@ -497,8 +481,7 @@ def test_pressure_in_full_contact(comm):
 
 def test_no_patch_has_a_negative_area(comm):
     """Lines around single pixels close to other patches enclosed less than nothing: such patches have the area and the
-    perimeter of their pixels, which are more than the lines give.
-    """
+    perimeter of their pixels, which are more than the lines give."""
     grid = SlabGrid(comm, (128, 128))
     problem = ContactProblem(grid, self_affine(grid, 0.3, 4, 0.1, 1), elastic(1.0), HardWall(), 1e-3)
     contact = Contact.of(RoughSurface(problem, [], 2 * np.pi / 4), solve_hard_wall(problem, 1e-10))
@@ -514,8 +497,7 @@ def test_no_patch_has_a_negative_area(comm):
 
 @pytest.mark.parametrize("failure", [SolverError, InputError])
 def test_a_contact_that_cannot_be_had_is_not_given(comm, caplog, failure):
-    """If a further contact that an observable asks for cannot be certified, its number is NaN, the log says why, and
-    all others are there.  Error bars of the area need none."""
+    """What an uncertified further contact would give is NaN, the log says why, all else is there, with area bars."""
     grid = SlabGrid(comm, (64, 64))
     heights = self_affine(grid, 0.5, 16, 0.05, 5)
     problem = ContactProblem(grid, heights, elastic(MODULUS), HardWall(), 0.003)

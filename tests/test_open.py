@@ -74,8 +74,7 @@ def matrix(grid):
 
 def test_a_loaded_pixel_displaces_itself_and_others_as_on_a_half_space():
     """u(0) = 4 ln(1 + √2) p a/πE' to 1e-4, and p a²/πE'r elsewhere: to 2.4e-4 away from the axes, on which the modes
-    that the grid lacks leave √2/(π²i) of it at distance i.
-    """
+    that the grid lacks leave √2/(π²i) of it at distance i."""
     grid, pressure = grid_of((96, 64)), np.zeros((96, 64))
     pressure[20, 30] = 1.0
     u = response(grid, pressure) * math.pi * MODULUS
@@ -127,9 +126,8 @@ def test_cone():
 
 
 def test_round_punch():
-    """P/2E'δ = √(N/π) − .1291 for N pixels in the mean of twenty random centres, to .001: the punch of Boussinesq,
-    P = 2 E' a δ, with the radius of a disc of as many pixels less what its border takes.
-    """
+    """P/2E'δ = √(N/π) − .1291 for N pixels in the mean of twenty random centres, to .001: the punch of Boussinesq, P =
+    2 E' a δ, with the radius of a disc of as many pixels less what its border takes."""
     lost, x = [], np.arange(64) - 32
     for shift in np.random.default_rng(3).random((20, 2)):
         inside = (x[:, None] - shift[0]) ** 2 + (x - shift[1]) ** 2 <= 20**2
@@ -191,8 +189,7 @@ class Padded(Open):
 def test_certificate_and_solution_against_brute_force(count):
     """With any padding, and pixels to 10:1: the compliance is positive definite; the solution is that of the dense
     reference; neither the bound of a feasible pressure nor ½⟨ε, Kε⟩ of a random ε that obeys the conditions, and is
-    anything in the padding, is below the true error.
-    """
+    anything in the padding, is below the true error."""
     random = np.random.default_rng(11)
     for _ in range(count):
         shape, spacing = random.integers(2, 9, 2).tolist(), (1.0, 10 ** random.uniform(-1, 1))
@@ -238,8 +235,7 @@ def test_the_periodic_limit():
 @pytest.mark.parametrize("worth", [0.0, cropping.WORTH])
 def test_ranks_agree_on_a_contact(worth, monkeypatch):
     """Pressure, approach, patches and line on any number of ranks are those of one, at odd sizes with a mesh, on the
-    whole patch and on a rectangle of it: certified to 1e-22, pressures to 1e-10, of the order of its root.
-    """
+    whole patch and on a rectangle of it: certified to 1e-22, pressures to 1e-10, of the order of its root."""
     monkeypatch.setattr(cropping, "WORTH", worth)
     heights = rough(259)
     grid = SlabGrid(MPI.COMM_WORLD, heights.shape)
@@ -306,8 +302,7 @@ def test_a_rectangle_is_enlarged_until_it_is_proved(margin, monkeypatch):
 @pytest.mark.parametrize("n", [512, 1024])
 def test_a_small_sphere_costs_less_than_a_pair(n):
     """Contact of radius .05 L, to 1e-8, at random centres near the middle: at most the work of one periodic pair of
-    transforms.  (Near a corner 1.7, as the torus is larger.)
-    """
+    transforms.  (Near a corner 1.7, as the torus is larger.)"""
     for centre in np.random.default_rng(3).random((3, 2)):
         found = solved(paraboloid(n, 8 * n, centre), 4 * MODULUS * (0.05 * n) ** 3 / (24 * n), 1e-8)
         assert found.transforms <= 1
@@ -329,9 +324,7 @@ def test_what_a_load_gives_imposed_gives_the_load(control):
     ("control", "n", "within", "work"), [("displacement", 128, 1e-4, 1.7), ("mean_gap", 256, 3e-4, 5)]
 )
 def test_a_target_costs_a_few_solutions(control, n, within, work):
-    """At most so many times the work of the load that it gives; a displacement one solution, also where most of it is
-    that of the whole patch.
-    """
+    """At most so many times the work of the load that it gives; a displacement one solution, also of a whole patch."""
     heights = self_affine(SlabGrid(MPI.COMM_SELF, (n, n)), 0.8, 8.0, 0.1, 3)
     for pressure in (0.002, 0.02):
         options = {"boundary": "open", "contact_modulus": 1.0}
@@ -342,9 +335,7 @@ def test_a_target_costs_a_few_solutions(control, n, within, work):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_the_bound_of_a_mean_gap(seed):
-    """The mean displacement under a uniform pressure is that of the response; loose solutions have the mean gap of the
-    best one to what their certificates say.
-    """
+    """Uniform pressure has the response's mean; loose solutions miss the best mean gap by what certificates allow."""
     shape, rng = [(64, 64), (40, 23), (17, 50), (96, 64)][seed], np.random.default_rng(seed)
     grid, law = grid_of(shape), HardWall()
     heights = self_affine(SlabGrid(MPI.COMM_SELF, shape), 0.6, 4.0, 0.1, seed + 1)
@@ -450,8 +441,7 @@ def test_what_open_boundaries_do_not_have_is_refused_by_name():
 
 
 def test_a_job_with_a_force(tmp_path):
-    """`jobs/sphere.toml` on fewer points: the force is that asked for, and the approach Hertz's a²/R to 1 %.
-    """
+    """`jobs/sphere.toml` on fewer points: the force is that asked for, and the approach Hertz's a²/R to 1 %."""
     job = Path(__file__).parents[1] / "jobs" / "sphere.toml"
     results = pgfmd.run(load(str(job), ["grid.n=48"]), tmp_path / "out")
     row = results[0].numbers
@@ -477,8 +467,7 @@ def test_bodies_of_the_table():
 def test_slabs(base):
     """A slab is the half-space if it is thick, and responds beyond some thicknesses to nothing if it is thin: a contact
     in the middle of a patch is then that of a periodic cell, up to how waves beyond the grid's end on either torus.
-    Between them two ways to the symbol agree to 1e-8.
-    """
+    Between them two ways to the symbol agree to 1e-8."""
     heights, force = rough(48), 8.0
     options = {"force": force, "contact_modulus": MODULUS, "base": base, "poisson": 0.3, "tolerance": 1e-12}
     thick = pgfmd.solve(heights, boundary="open", thickness=1e6, **options)
@@ -500,8 +489,7 @@ def test_slabs(base):
 @pytest.mark.parametrize("n", [6, 24])
 def test_slabs_of_few_spacings_on_small_patches(n):
     """From a third of a spacing to three, and above: the table is that of the kernel of a far larger torus, cut off, to
-    1 %, as the waves that the grid lacks end elsewhere.
-    """
+    1 %, as the waves that the grid lacks end elsewhere."""
     grid, wide = grid_of((n, n)), grid_of((300, 300))
     for thickness in (0.3, 0.6, 1.0, 2.9, 3.2):
         slab = Homogeneous(contact_modulus=1.0, poisson=0.3, thickness=thickness, base="bonded")
@@ -512,8 +500,7 @@ def test_slabs_of_few_spacings_on_small_patches(n):
 @pytest.mark.parametrize("thickness", [0.7, 6.0])
 def test_layers(thickness):
     """A layer of the base's own material is a half-space; a soft one between ends where both half-spaces are: far away
-    the response is that of the base, to 1 % at 10 thicknesses or more.
-    """
+    the response is that of the base, to 1 % at 10 thicknesses or more."""
     grid = grid_of((96, 64))
     layer = {"contact_modulus": 1.0, "poisson": 0.3, "thickness": thickness, "base_poisson": 0.3}
     same, soft = (Layered(base_modulus=modulus, **layer) for modulus in (1.0, 4.0))

@@ -141,8 +141,7 @@ def test_set_itself_must_fit_together(changes, message):
 
 
 def test_numbers_for_other_programs(comm, tmp_path, capsys):
-    """`info --csv` and `--json` give every number of the table to its last bit, with its error; JSON has null where
-    there is none, and the job."""
+    """`info --csv` and `--json` give every number to its last bit, its error and the job; JSON null for none."""
     simulate(job_of("pressure", [0.01, 0.0]), comm, tmp_path / "out")
     found = Results(tmp_path / "out")
     assert main(["info", "--csv", str(tmp_path / "out")]) == 0

@@ -149,8 +149,7 @@ def test_single_precision_and_integers(comm, shared_tmp_path, transport):
 
 @pytest.mark.parametrize("scale", [1e-300, 1e-60, 1e-38, 1e38, 1e60])
 def test_single_precision_never_loses_a_field(comm, shared_tmp_path, transport, scale):
-    """A field that float32 would turn to infinities or zeros, or hold with fewer digits than its own, stays float64;
-    others are rounded.  Its largest value decides, on whichever rank that is."""
+    """A field whose largest value, on any rank, is out of float32's range stays float64; others are rounded."""
     field, small = FIELD * (scale / np.abs(FIELD).max()), FIELD * 1e-10
     with warnings.catch_warnings(), writer(comm, shared_tmp_path / "out", precision="float32") as result:
         warnings.simplefilter("error")
@@ -315,9 +314,7 @@ def test_failure_keeps_completed_loads(comm, shared_tmp_path, transport, monkeyp
     ],
 )  # fmt: skip
 def test_a_folder_lost_at_any_step_is_named(comm, shared_tmp_path, monkeypatch, kind, step):
-    """A folder that is moved away before any step of a load: on all ranks an OSError that names it, nothing is made
-    anew where it was.
-    """
+    """Moved away before any step of a load: an OSError on all ranks names it; nothing is made where it was."""
     folder, original = shared_tmp_path / "out", getattr(kind, step)
 
     def moved_first(*arguments, **options):
@@ -357,9 +354,7 @@ def test_large_fields_begin_on_pages(comm, shared_tmp_path, transport, monkeypat
 
 @pytest.mark.parametrize("nodes", ["one node", "a node for each rank"])
 def test_both_transports_write_the_same_bytes(comm, shared_tmp_path, monkeypatch, nodes):
-    """Files of fields are equal byte for byte, whether HDF5 with MPI writes them or each rank its rows
-    in place, where ranks share a node and where their nodes take turns.
-    """
+    """HDF5 with MPI and ranks in place, on one node or on nodes in turns, write the same files byte for byte."""
     if nodes != "one node":
         monkeypatch.setattr(files, "BLOCK_BYTES", 100)
         monkeypatch.setattr(hdf5_slabs, "node_of", lambda comm: MPI.COMM_SELF)
@@ -393,9 +388,7 @@ def test_error_while_writing_reaches_all_ranks(comm, shared_tmp_path, monkeypatc
 
 
 def test_hints_reach_mpi_io(comm, shared_tmp_path, monkeypatch):
-    """HDF5 opens a file that all ranks write with the hints of the job, whatever characters follow the name, and what
-    is written is the same.
-    """
+    """Files that all ranks write are opened with the job's hints, of any characters, and are the same."""
     if not hdf5_slabs.is_collective(comm):
         pytest.skip("the ranks do not write through MPI-IO")
     given, opened, open_file = ("cb_nodes=1", "of_another=a=b;c"), [], h5py.File
@@ -520,9 +513,7 @@ def test_format_1_is_not_continued(comm, shared_tmp_path):
 
 
 def test_format_2_is_read(comm, shared_tmp_path):
-    """Under limited hardness its gap was negative where the wall yields.  It comes as a gap ≥ 0 and the plastic depth;
-    what was made from it, and cannot be made again, as NaN.
-    """
+    """Its negative gap is now a gap ≥ 0 and the plastic depth; what was made from it, and cannot be made again, NaN."""
     unpack(comm, 2, shared_tmp_path)
     with h5py.File(shared_tmp_path / "fields" / "load_0001.h5") as file:
         before = file["gap"][()]
@@ -545,8 +536,7 @@ def test_reading_needs_no_mpi():
 
 def test_large_groups_have_files_of_their_own(comm, shared_tmp_path, monkeypatch):
     """They read as before; observables.h5 does not grow by them; a load whose file is damaged is solved again, results
-    that replace others remove theirs, and without its file a group is refused in one line.
-    """
+    that replace others remove theirs, and without its file a group is refused in one line."""
     monkeypatch.setattr(files, "LARGE_TABLE", 40)
     large = {"pressure_histogram": {"edges": np.arange(1e4), "center": np.arange(9999) + 0.5, "density": np.ones(9999)}}
     folder = shared_tmp_path / "out"

@@ -1,6 +1,4 @@
-"""The overview page: tiles hold the field, patches are those of a search by hand, the page is whole and safe, and works
-in a browser.
-"""
+"""The overview page: tiles hold the field, patches are right, the page is whole and safe, and works in a browser."""
 
 from __future__ import annotations
 
@@ -94,8 +92,7 @@ def undone(line: bytes, shape: tuple[int, int]) -> tuple[np.ndarray, float, floa
 @pytest.mark.parametrize(("scale", "blank"), [("linear", False), ("linear", True), ("sqrt", True), ("log", True)])
 def test_tiles_hold_every_point_of_every_level(tmp_path, small_tiles, shape, scale, blank):
     """Each value is that of its grid point to half a step of the scale (and rounding of it, 1e-12 of the range), zeros
-    are zeros; every level has every 2^k-th point, whatever the blocks in which the field comes.
-    """
+    are zeros; every level has every 2^k-th point, whatever the blocks in which the field comes."""
     field = np.random.default_rng(1).normal(size=shape).cumsum(0)
     field = np.maximum(field, 0) if blank else field
     levels, size = pyramid.level_count(shape), pyramid.TILE
@@ -189,9 +186,7 @@ def test_what_was_not_kept_is_said(runs, tmp_path):
 
 @pytest.mark.breadth
 def test_large_fields_lie_beside_the_page(runs, tmp_path, monkeypatch, small_tiles):
-    """Beyond the budget: coarse levels and the most loaded part inside, all others in the folder, none twice; with
-    --no-tiles no folder; a second page leaves no tile of the first.
-    """
+    """Beyond the budget other levels lie in the folder, none twice; --no-tiles has none; a new page, no old tile."""
     monkeypatch.setattr(overview_page, "BUDGET", 60e3)
     _, data = page_of(runs["all"], tmp_path)
     inside = sum(len(tile[2]) for tile in data["tiles"].values())
@@ -233,9 +228,7 @@ def number(text: str) -> float:
 @pytest.mark.parametrize("beside", [False, True])
 @pytest.mark.breadth
 def test_the_browser_shows_the_numbers_of_the_files(runs, tmp_path, monkeypatch, small_tiles, window, beside):
-    """At ten points, zoomed to points of 24 pixels: values to a step of 1/254 of the field's range, contact where there
-    is contact, whether the tiles are in the page or beside it; nothing on the console.
-    """
+    """At ten points, zoomed in: values to 1/254 of the range, contact where it is, tiles inside or beside the page."""
     if beside:
         monkeypatch.setattr(overview_page, "BUDGET", 60e3)
     path, data = page_of(runs["all"], tmp_path)
@@ -296,9 +289,7 @@ def test_the_browser_zooms_moves_and_changes_loads(runs, tmp_path, monkeypatch, 
 
 @pytest.mark.breadth
 def test_pixels_have_the_colours_of_their_values(runs, tmp_path, window):
-    """In the picture of the pressure: that of the map at p/top for points in contact, light grey elsewhere, one step of
-    256 and of the tile's 254 allowed.
-    """
+    """Pressures in contact have the colour of p/top, others light grey; a step of 256 and one of 254 are allowed."""
     path, data = page_of(runs["all"], tmp_path)
     pressure = reading.loads([runs["all"]])[1].results.field("pressure", 1)
     top = data["fields"][1]["range"][1]
@@ -319,9 +310,8 @@ def test_pixels_have_the_colours_of_their_values(runs, tmp_path, window):
 
 
 def test_the_most_loaded_point_bears_most_in_its_tile(runs, tmp_path, small_tiles):
-    """The button leads to a point in contact, the highest pressure of its tile of 64² points (to a step of its 254),
-    in the tile where pressures over a twentieth of the cell are largest, on every 4th point.
-    """
+    """The button leads to a point in contact, the highest pressure of its tile of 64² points (to a step of its 254), in
+    the tile where pressures over a twentieth of the cell are largest, on every 4th point."""
     _, data = page_of(runs["all"], tmp_path)
     pressure = reading.loads([runs["all"]])[1].results.field("pressure", 1)
     i, j = data["peak"]

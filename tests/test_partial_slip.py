@@ -39,9 +39,8 @@ def rough(n, seed=2):
 @pytest.mark.parametrize(("boundary", "n"), [("periodic", 640), ("open", 112)])
 def test_cattaneo_mindlin(boundary, n, share):
     """A sphere of a = 48 points: stick radius c = a (1 − Q/μP)^⅓ to 1e-3, by areas inside the contact line, traction
-    μ(p − (c/a) p₁), p₁ Hertz's pressure of radius c, to 1.6 % in L2; and, where there are no images, the shift
-    μ(a² − c²)/R to 1e-4, and the stiffness 2E'c to 1e-3.
-    """
+    μ(p − (c/a) p₁), p₁ Hertz's pressure of radius c, to 1.6 % in L2; and, where there are no images, the shift μ(a² −
+    c²)/R to 1e-4, and the stiffness 2E'c to 1e-3."""
     x, a, mu = np.arange(n) - n / 2 - 0.3, 48.0, 0.3
     radius, r2 = 8000.0, x[:, None] ** 2 + x**2
     force, c = 4 * a**3 / (3 * radius), a * (1 - share) ** (1 / 3)
@@ -65,8 +64,7 @@ def test_cattaneo_mindlin(boundary, n, share):
 @pytest.mark.mpi
 def test_displacement_under_a_traction(comm):
     """On a patch a traction along x displaces points as Cerruti's integrals say, to 1e-8 of the largest, on any number
-    of ranks and on oblong pixels; integrals in polar coordinates about each point.  In a cell a wave responds alone.
-    """
+    of ranks and on oblong pixels; integrals in polar coordinates about each point.  In a cell a wave responds alone."""
     poisson, (ax, ay), angles = 0.4, (1.0, 1.25), 2 * np.pi * (np.arange(256) + 0.5) / 256
     r = (np.arange(4000) + 0.5) * 0.015
 
@@ -95,8 +93,7 @@ def test_displacement_under_a_traction(comm):
 
 def test_a_small_patch_by_brute_force():
     """The traction on an open patch of ν = 0 is that of least energy ½⟨τ, Gτ⟩ − shift Στ within the bounds ±μp, by
-    bounded least squares with a dense G, at the shift that was found.
-    """
+    bounded least squares with a dense G, at the shift that was found."""
     n, mu = 20, 0.3
     heights = rough(n) - (np.arange(n)[:, None] - 9.4) ** 2 / 90 - (np.arange(n) - 9.7) ** 2 / 90
     solved = pgfmd.solve(heights, force=1.0, boundary="open", solid=SPHERE, tolerance=1e-16)

@@ -145,10 +145,8 @@ def random_case(seed: int, index: int):
 
 
 def test_random_masks(comm, request):
-    """Random masks, from 1 × 1 to 97 × 64 and cut anywhere, have the patches that a flood fill finds.
-
-    1000 masks on one rank, 300 others on each further rank count; 3000 on each with --long.
-    """
+    """Random masks, from 1 × 1 to 97 × 64 and cut anywhere, have the patches that a flood fill finds.  1000 masks on
+    one rank, 300 others on each further rank count; 3000 on each with --long."""
     count = 3000 if request.config.getoption("--long") else 1000 if comm.size == 1 else 300
     fills = {}
     for index in range(comm.rank, count, comm.size):

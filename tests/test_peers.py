@@ -8,8 +8,7 @@ N, PRESSURE, MODULUS = 256, 0.003, 8 / 3
 
 @pytest.fixture(scope="module", params=[(0.8, 16.0), (0.3, 1.0)], ids=["smooth", "rough"])
 def contact(request, comm):
-    """Heights and our pressure (256, 256): self-affine, to a certified error of 1e-15 (of the energy, which is the
-    square of the pressure's)."""
+    """Heights and our pressure (256, 256): self-affine, certified to 1e-15 of the energy, the pressure's square."""
     from solids import elastic
 
     from pgfmd.grid.slab_grid import SlabGrid
@@ -70,9 +69,7 @@ def test_contact_mechanics(contact):
 
 
 def test_an_open_patch_by_contact_mechanics(comm, monkeypatch):
-    """With the kernel of pixels under uniform pressure (Love 1929) in place of ours, the pressure on a rough patch is
-    that of its free half-space.
-    """
+    """With the kernel of uniform pixels (Love 1929), the pressure on a rough patch is that of its free half-space."""
     pytest.importorskip("ContactMechanics")
     from ContactMechanics import FreeFFTElasticHalfSpace
     from ContactMechanics.Optimization import constrained_conjugate_gradients
@@ -104,8 +101,7 @@ def test_an_open_patch_by_contact_mechanics(comm, monkeypatch):
 @pytest.mark.parametrize(("hurst", "lambda_s"), [(0.8, 8.0), (0.3, 1.0)], ids=["smooth", "rough"])
 def test_limited_hardness_by_contact_mechanics(comm, hurst, lambda_s, hardness):
     """Its constrained conjugate gradients, with their own treatment of points that flow, find the same points at the
-    hardness and in contact, and the same pressure to 1e-6 in the 2-norm (measured 1e-8).
-    """
+    hardness and in contact, and the same pressure to 1e-6 in the 2-norm (measured 1e-8)."""
     pytest.importorskip("ContactMechanics")
     from ContactMechanics import PeriodicFFTElasticHalfSpace
     from ContactMechanics.Optimization import constrained_conjugate_gradients

@@ -75,9 +75,7 @@ def test_spiral(comm):
 
 @pytest.mark.parametrize("gathered", [0, 20, 10**5])
 def test_constriction_against_brute_force(comm, monkeypatch, gathered):
-    """The critical constriction is the largest g at which {gap ≥ g} percolates, wherever labelling stops and rank 0
-    takes over; the gap at its place is g.
-    """
+    """It is the largest g at which {gap ≥ g} percolates, and the gap at its place, wherever rank 0 takes over."""
     monkeypatch.setattr(percolation, "GATHERED", gathered)
     rng = np.random.default_rng(4)
     for _ in range(60 if comm.size == 1 else 20):

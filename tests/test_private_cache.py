@@ -160,9 +160,7 @@ def test_no_space_for_temporary_files(found, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES])
 def test_what_cannot_be_kept_leaves_nothing_and_is_named(tmp_path, monkeypatch, caplog, code):
-    """Where a file cannot take its place, as on a full disk, no part of it stays to fill the disk further; the log
-    names the folder and the reason, once.
-    """
+    """No part of a file that cannot take its place stays; the log names the folder and the reason, once."""
 
     def fail(*_):
         raise OSError(code, os.strerror(code))
@@ -233,8 +231,7 @@ for n in map(int, sys.argv[1:]):
 
 def test_a_transform_is_planned_by_one_process(tmp_path):
     """Processes that begin together with an empty cache, and each need transforms of their own and common ones: each is
-    planned by one of them, and nothing that another has learnt is lost.  A process after them plans nothing.
-    """
+    planned by one of them, and nothing that another has learnt is lost.  A process after them plans nothing."""
     environment = os.environ | {"PGFMD_CACHE": str(tmp_path)}
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
 
@@ -309,8 +306,7 @@ LOOPS = ("rows_and_tiles", "tiles_and_columns", "_unite", "_place")
 
 @pytest.mark.breadth
 def test_a_loop_is_compiled_by_one_process(tmp_path):
-    """However many processes begin together with an empty cache, each loop is compiled by one of them; the others wait
-    for it and load it.  A process after them compiles nothing."""
+    """Of processes that begin together one compiles each loop, the others load it; one after them compiles nothing."""
     environment = os.environ | {"PGFMD_CACHE": str(tmp_path)}
 
     def start() -> subprocess.Popen:

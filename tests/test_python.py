@@ -49,11 +49,9 @@ def test_surfaces_do_not_depend_on_the_communicator(comm, heights):
 
 
 def test_a_call_gives_what_a_run_gives(comm, heights, results):
-    """Pressures, gaps, numbers, curves and error bars of `solve` are those of the run of the same job.
-
-    Both are certified to 1e-18, so that pressures agree to its square root.  Spectra of arrays end at the grid's last
-    mode, those of jobs at λ_s: the observable of the run is asked for with the same bins.
-    """
+    """Pressures, gaps, numbers, curves and error bars of `solve` are those of the run of the same job.  Both are
+    certified to 1e-18, so that pressures agree to its square root.  Spectra of arrays end at the grid's last mode,
+    those of jobs at λ_s: the observable of the run is asked for with the same bins."""
     rows = slab(48, comm.size, comm.rank)
     for load, contact in zip(results, pgfmd.solve(heights, JOB["load"]["pressure"], comm=comm, **SOLVE), strict=True):
         scale = load.field("pressure").max()
@@ -71,11 +69,9 @@ def test_a_call_gives_what_a_run_gives(comm, heights, results):
 
 @pytest.mark.parametrize("name", ["contact_area", "mean_gap", "displacement"])
 def test_what_is_imposed_is_met(comm, heights, name):
-    """A contact solved again by its own area, gap or displacement has the load that it began with.
-
-    The tolerances asked for bound the imposed quantity; loads follow within ten times them (their logarithmic
-    derivatives are of order one).  An area is met to a pixel, of about 400.
-    """
+    """A contact solved again by its own area, gap or displacement has the load that it began with.  The tolerances
+    asked for bound the imposed quantity; loads follow within ten times them (their logarithmic derivatives are of order
+    one).  An area is met to a pixel, of about 400."""
     first = pgfmd.solve(heights, 0.01, comm=comm, **SOLVE)
     target = getattr(first, name)
     again = pgfmd.solve(heights, **{name: target}, gap_tolerance=1e-6, area_tolerance=1e-3, comm=comm, **SOLVE)
@@ -85,8 +81,7 @@ def test_what_is_imposed_is_met(comm, heights, name):
 def test_what_the_caller_does_to_its_arrays_later_changes_nothing(comm, heights):
     """κ, the error bar and the heights of contacts are those of the call, though the buffer of their heights has held
     another surface since; so is the start of a list.  The contacts of a list share one copy, and an array that nobody
-    can write is not copied.
-    """
+    can write is not copied."""
     kept, buffer = pgfmd.solve(heights.copy(), 0.01, comm=comm, **SOLVE), heights.copy()
     start = kept.pressure.copy()
     contacts = pgfmd.solve(buffer, [0.01, 0.02], start=start, comm=comm, **SOLVE)
@@ -113,9 +108,7 @@ def test_a_force_is_pressure_times_area(comm, heights):
 
 
 def test_a_list_is_solved_as_it_is_asked_for(comm, heights):
-    """An iterator: what is not asked for is not solved, so that a wrong later load does no harm; each starts from the
-    last if that is near, which the transforms show.
-    """
+    """What is not asked for is not solved, so that a wrong later load does no harm; near loads start from the last."""
     contacts = pgfmd.solve(heights, [0.01, 0.01001, 0.5], comm=comm, **SOLVE)
     first, second = next(contacts), next(contacts)
     cold = pgfmd.solve(heights, 0.01001, comm=comm, **SOLVE)
@@ -227,9 +220,7 @@ def test_temporary_results_are_removed(comm):
 
 
 def test_a_run_that_fails_leaves_nothing_behind(comm, shared_tmp_path, monkeypatch):
-    """A solver fails on all ranks: the temporary folder is removed, and shared memory of transforms given back, though
-    the caller goes on.
-    """
+    """The temporary folder is removed, and shared memory given back, though the caller goes on."""
     held = []
 
     def allocate(strips, *arguments):

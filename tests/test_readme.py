@@ -62,8 +62,7 @@ def test_the_number_of_ranks_matters_within_the_tolerance(page):
 
 
 def test_every_recipe_installs_this_checkout_itself():
-    """`pip install` of this package is editable wherever it is shown: `pgfmd` and `python -m pgfmd` are the same code.
-    """
+    """Every `pip install` of this package is editable: `pgfmd` and `python -m pgfmd` are the same code."""
     pages = [ROOT / "README.md", *(ROOT / "tools").rglob("*.md"), *(ROOT / "tools").glob("*/*.yml")]
     pages += (ROOT / "tools").glob("*.sh")
     recipe = re.compile(r'pip install .*["\s](?:\.|\$\{root\})(?:\[.*|$)', re.MULTILINE)
@@ -87,9 +86,7 @@ def test_commands_exist(words):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_new_jobs_are_valid(kind):
-    """`pgfmd new KIND` prints a job that is valid, for every kind of surface and wall, and keeps what `pgfmd plot`
-    shows first: surface, pressure and gap, P(σ) and spectra.
-    """
+    """`pgfmd new KIND` prints a valid job of every kind, which keeps what `pgfmd plot` shows first."""
     kept = parse(writer.example(SECTIONS.values(), kind)).output
     assert {"height", "pressure", "gap"} <= set(kept.fields) and {"histogram", "spectra"} <= set(kept.observables)
 
@@ -111,8 +108,7 @@ def test_every_key_says_what_it_means():
 
 
 def test_every_number_has_a_unit():
-    """A key whose value is a real number names its unit, one of those that the first lines explain; no other has one.
-    """
+    """Keys whose value is a real number name one of the units that the first lines explain; no other has one."""
     known = {"length", "pressure", "grid spacings", "1", "s", "radians per length"}
     known |= {"pressure*length", "pressure*length^2", "conductivity"}
     for kind in (kind for table in SECTIONS.values() for kind in sections(table)):

@@ -39,8 +39,7 @@ def test_hard_walls_obey_the_contact_conditions(solid):
 @pytest.mark.parametrize("solid", [Solid(), Solid(2.0, 5.0, "sliding"), Solid(2.0, 1.0, "bonded", 0.3)])
 def test_open_patches(solid):
     """The same on patches: p ≥ 0, gap ≥ 0, p·gap = 0; a pixel is displaced as by a square load on a half-space, to
-    1e-3, and less on a slab; exponential walls tend to the hard one.
-    """
+    1e-3, and less on a slab; exponential walls tend to the hard one."""
     contact = reference.OpenContact(noise((9, 8)), (1.0, 1.0), solid, (128, 128))
     square = 4 / np.pi * np.log(1 + np.sqrt(2)) / solid.modulus
     assert contact.pixel < square if solid.thickness < np.inf else abs(contact.pixel / square - 1) < 1e-3

@@ -45,8 +45,7 @@ def wave_numbers(shape, lengths):
 
 def test_a_self_affine_table_is_the_self_affine_surface(comm, shared_tmp_path):
     """Three entries are a self-affine spectrum with roll-off: the same seed gives the same heights, up to the one
-    factor that makes the slope of the other kind exact; to rounding.
-    """
+    factor that makes the slope of the other kind exact; to rounding."""
     grid = SlabGrid(comm, (64, 48), (32.0, 24.0))
     spectrum = theory.SelfAffineSpectrum(hurst=0.7, lambda_s=2.0, lambda_r=8.0, lambda_l=24.0, rms_slope=0.2)
     q = 2 * np.pi / np.array([24.0, 8.0, 2.0])
@@ -160,9 +159,7 @@ def test_tables_that_are_none(comm, shared_tmp_path, content):
 
 
 def test_files_that_are_no_table(comm, shared_tmp_path):
-    """A missing file, a folder, an .npy of another shape or type, cut short, damaged, or of several arrays: one line
-    on all ranks.
-    """
+    """Missing, a folder, of another shape or type, cut short, damaged, several arrays: one line on all ranks."""
     if comm.rank == 0:
         np.save(shared_tmp_path / "flat.npy", np.ones(4))
         np.save(shared_tmp_path / "complex.npy", np.ones((4, 2), complex))

@@ -98,10 +98,9 @@ def disc(n, radius):
 
 @pytest.mark.parametrize("radius", [8.0, 20.0])
 def test_round_contact(comm, radius):
-    """A round contact of radius a in a cell L has 1/(K L²) = 1/2a − 3.900265/(πL) + .9585 a²/L³ (E' = 1): the
-    flat punch, its square lattice of images, and their effect on it; on an open patch the first term only.  Pixels: a =
-    √(N/π) − .129, ± .006 at 8.
-    """
+    """A round contact of radius a in a cell L has 1/(K L²) = 1/2a − 3.900265/(πL) + .9585 a²/L³ (E' = 1): the flat
+    punch, its square lattice of images, and their effect on it; on an open patch the first term only.  Pixels: a =
+    √(N/π) − .129, ± .006 at 8."""
     mask, count = disc(128, radius)
     found, a, length = stiffness_of(comm, mask), math.sqrt(count / math.pi) - 0.129, 128
     expected = 1 / (2 * a) - 3.900265 / (math.pi * length) + 0.9585 * a**2 / length**3
@@ -139,8 +138,7 @@ def test_secants_lie_between():
 
 def test_without_and_with_full_contact(comm):
     """No contact: K = 0.  Contact everywhere: K is infinite, as the mean mode deforms nothing; of an open patch it is
-    that of a square punch, 1.1523 E' times its side n − .378.
-    """
+    that of a square punch, 1.1523 E' times its side n − .378."""
     assert stiffness_of(comm, np.zeros((8, 8))).upper == 0
     assert stiffness_of(comm, np.ones((8, 8))).lower == math.inf
     punch = stiffness_of(comm, np.ones((128, 128)), domain=OPEN)
@@ -149,8 +147,7 @@ def test_without_and_with_full_contact(comm):
 
 def test_conductance_of_a_spot():
     """One small spot between half-spaces of resistivities ρ₁, ρ₂ conducts 4a/(ρ₁ + ρ₂) (Holm); images are taken off,
-    pixels' scatter at a = 6: 1 %.  The current density has mean 1 and no part outside.
-    """
+    pixels' scatter at a = 6: 1 %.  The current density has mean 1 and no part outside."""
     x = np.arange(96) - 48.2
     contact = pgfmd.solve(-(x[:, None] ** 2 + x**2) / 400, 4e-4)
     found = contact.observables(stiffness={"conductivities": [2.0, 5.0]})["loads"]

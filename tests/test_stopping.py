@@ -77,8 +77,7 @@ def test_time_limit_leaves_time_to_save(comm, shared_tmp_path):
 @pytest.mark.parametrize("how", ["time limit", "STOP"])
 def test_no_progress(comm, shared_tmp_path, resumed, how):
     """A time limit that ends a run before it could save more than it began with is no reason to go on: the same would
-    happen each time.  Whoever asks by a file gets the usual answer.  The first step from a checkpoint is not new.
-    """
+    happen each time.  Whoever asks by a file gets the usual answer.  The first step from a checkpoint is not new."""
     run, clock = interruptions_at(comm, shared_tmp_path, time_limit=60.0)
     run.load_begins(resumed)
     comm.Barrier()
@@ -95,9 +94,7 @@ def test_no_progress(comm, shared_tmp_path, resumed, how):
 
 @pytest.mark.mpi
 def test_stop_files(comm, shared_tmp_path):
-    """A STOP file from before does not count and stays; it counts when it is touched again.  That of a batch script is
-    taken away before the run.
-    """
+    """An old STOP file counts only when it is touched again, and stays; a batch script's is removed before the run."""
     stop, batch = shared_tmp_path / "STOP", shared_tmp_path / ".pgfmd.stop"
     if comm.rank == 0:
         stop.write_text("not yours")

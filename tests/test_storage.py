@@ -34,8 +34,7 @@ def rough(comm, n=320):
 )
 def test_it_is_the_contact_of_the_stored_heights(comm, imposed, value):
     """Certified for these heights by `certify` in double precision, and the contact of double precision within what
-    both certificates leave: pressures to 1e-3 of their rms value, the area to 3e-4 of it.
-    """
+    both certificates leave: pressures to 1e-3 of their rms value, the area to 3e-4 of it."""
     heights = rough(comm)
     asked = {imposed: value, "comm": comm, "threads": 1}
     found, exact = pgfmd.solve(heights, storage="float32", **asked), pgfmd.solve(heights, tolerance=1e-12, **asked)
@@ -56,9 +55,7 @@ def test_it_is_the_contact_of_the_stored_heights(comm, imposed, value):
 
 
 def test_far_heights_are_those_of_their_mean(comm):
-    """Heights 3 above their mean are scaled before they are solved: that rounds them once more, which the certificate
-    counts, and the contact is the same within what both certificates leave.
-    """
+    """Heights 3 above their mean are rounded once more, as is certified: the same contact within both certificates."""
     heights = rough(comm)
     asked = {"comm": comm, "threads": 1, "storage": "float32"}
     near, far = (pgfmd.solve(heights + up, 0.01, **asked) for up in (0.0, 3.0))
@@ -72,8 +69,7 @@ def test_far_heights_are_those_of_their_mean(comm):
 
 def test_gaps_beside_contact_keep_their_digits(comm):
     """A gap is stored to the last digit of itself, not of the distance between the mean planes, some 4, whose digit is
-    2⁻²²: gaps below .1 are finer than that, and contact is as flat as in double precision.
-    """
+    2⁻²²: gaps below .1 are finer than that, and contact is as flat as in double precision."""
     heights = rough(comm)
     asked = {"comm": comm, "threads": 1, "tolerance": 1e-9}
     found, exact = (pgfmd.solve(heights, 0.0005, storage=kind, **asked) for kind in ("float32", "float64"))
@@ -139,9 +135,7 @@ def test_large_grids_give_their_transforms_back(comm, monkeypatch):
 
 
 def test_a_job_goes_on_from_its_checkpoint(comm, shared_tmp_path, monkeypatch):
-    """A run that is stopped in its second load and continued has the fields of one that was not stopped, to what the
-    tolerance leaves; the fields are those that `solve` gives.
-    """
+    """Stopped in its second load and continued: the fields of `solve` and of a run without a stop, to the tolerance."""
     surface = {"lambda_s": 8.0, "rms_slope": 0.1}
     sections = {"solid": {"contact_modulus": 1.0}, "load": {"pressure": [0.01, 0.02]}}
     text = rough_job(128, surface, **sections, solver={"storage": "float32"},

@@ -38,9 +38,7 @@ def profile(comm, pressure, poisson, depths):
 @pytest.mark.parametrize("along", [0, 1])
 @pytest.mark.parametrize("count", [3, 16])
 def test_wave(comm, along, count):
-    """Under p = 1 + cos qx, waves of two points included, the solid is in plane strain: Airy's closed form at each
-    depth, to 1e-10.
-    """
+    """Under p = 1 + cos qx, even of two points a wave: Airy's closed form of plane strain at each depth, to 1e-10."""
     n, nu, depths = 32, 0.3, (0.0, 1.5, 4.0)
     x = np.arange(n)
     q = 2 * math.pi * count / n
@@ -65,10 +63,8 @@ def test_depths_a_rounding_apart():
 
 
 def test_hertz():
-    """Below a sphere, ν = .3, von Mises' stress is largest at .481 a: .620 p₀ (Johnson 1985), within .5 %.
-
-    The cell is 16 a wide, so that images and the mean add little; its mean is part of the tolerance.
-    """
+    """Below a sphere, ν = .3, von Mises' stress is largest at .481 a: .620 p₀ (Johnson 1985), within .5 %.  The cell is
+    16 a wide, so that images and the mean add little; its mean is part of the tolerance."""
     n, a = 256, 16.0
     x = np.arange(n) - n / 2
     p = np.sqrt(np.maximum(1 - (x[:, None] ** 2 + x**2) / a**2, 0))

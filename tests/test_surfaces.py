@@ -141,9 +141,7 @@ def test_roll_off_end_to_end(comm, shared_tmp_path):
     ],
 )
 def test_surface_of_a_job_in_a_script(comm, shared_tmp_path, surface):
-    """`pgfmd.surface` gives each rank its rows of the heights that the job writes, and one process all of them, with
-    either transform; to 1e-14 of their range.
-    """
+    """`pgfmd.surface` gives rows of the heights that the job writes, by either transform; to 1e-14 of their range."""
     text = f"[grid]\nn = [128, 96]\n[surface]\n{surface}\n[load]\npressure = 1e-4\n[output]\nfields = ['height']\n"
     text += SOLID + "[solver]\ntolerance = 0.1\n"
     if comm.rank == 0:
@@ -188,8 +186,7 @@ def test_measured_job(comm, shared_tmp_path):
 
 
 def test_units_do_not_matter(comm, shared_tmp_path):
-    """The measured job in metres and pascals, and in grid spacings and Young's moduli: pressures and gaps agree to 1e-8
-    of their largest value, certified to 1e-18."""
+    """The job in metres and pascals, and in spacings and moduli: fields to 1e-8 of the largest, certified to 1e-18."""
     common = ("solver.tolerance=1e-18", "load.pressure=[5e6]", "output.observables=[]")
     physical = run_measured(comm, shared_tmp_path / "si", *common)
     bare = run_measured(

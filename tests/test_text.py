@@ -49,9 +49,7 @@ def test_separators_at_the_ends_of_lines(tmp_path):
 
 
 def test_coordinates_in_any_order(tmp_path):
-    """Three columns are x, y and height: any order of lines, any origin and spacing, rounded to five digits,
-    up to a third of the points without a line (NaN), whole lines of the lattice too.
-    """
+    """Lines x, y, height in any order, of any origin and spacing to five digits, up to a third missing (NaN)."""
     for seed in range(50):
         chance = np.random.default_rng(seed)
         shape, step, origin = chance.integers(3, 15, 2), 10.0 ** chance.uniform(-6, 3, 2), chance.normal(size=2)

@@ -118,11 +118,9 @@ def test_fit_recovers_the_width_of_a_sampled_distribution():
 
 @pytest.mark.parametrize("gamma", [1.0, 0.45])
 def test_persson_energy_and_gap_are_one_thermodynamics(gamma):
-    """dE/dp̄ = −p̄ dḡ/dp̄, by central differences of relative step 1e-3; E of full contact is ½⟨u K u⟩.
-
-    Errors of the two differences differ by step²/3 (1 − p̄E''/E'), which is 1 + p̄²/s² for E' ∝ exp(−p̄²/2s²); three times
-    that leaves room for the smaller s of long waves, which weigh little.
-    """
+    """dE/dp̄ = −p̄ dḡ/dp̄, by central differences of relative step 1e-3; E of full contact is ½⟨u K u⟩.  Errors of the
+    two differences differ by step²/3 (1 − p̄E''/E'), which is 1 + p̄²/s² for E' ∝ exp(−p̄²/2s²); three times that
+    leaves room for the smaller s of long waves, which weigh little."""
     q, variance = SURFACES[0].lines(500)
     std = MODULUS * SURFACES[0].rms_slope / 2
     options = dict(contact_modulus=MODULUS, gamma=gamma)
@@ -191,11 +189,9 @@ def sampled_summits(moments, count):
 
 @pytest.mark.parametrize(("alpha", "separation"), [(2.0, 0.5), (6.0, 1.0), (30.0, 0.0)])
 def test_bush_gibson_thomas_by_sampling(alpha, separation):
-    """Sampled summits, each an elliptic Hertz contact solved for its ellipticity; 4 standard errors.
-
-    Johnson's equations, p₀ the peak pressure, e the eccentricity, a > b: κ₁/κ₂ = [(a/b)²E − K]/(K − E),
-    κ₁ + κ₂ = 2(p₀/E') E/b, δ = (p₀/E') b K; area π a b, load (2/3) p₀ π a b.
-    """
+    """Sampled summits, each an elliptic Hertz contact solved for its ellipticity; 4 standard errors.  Johnson's
+    equations, p₀ the peak pressure, e the eccentricity, a > b: κ₁/κ₂ = [(a/b)²E − K]/(K − E), κ₁ + κ₂ = 2(p₀/E') E/b, δ
+    = (p₀/E') b K; area π a b, load (2/3) p₀ π a b."""
     moments = surface.SpectralMoments(1.0, 1.0, alpha)
     height, trace, difference = sampled_summits(moments, 600_000)
     touching = (trace > difference) & (height > separation)
@@ -228,11 +224,9 @@ def test_bush_gibson_thomas_tends_to_proportionality(alpha):
 
 
 def test_bush_gibson_thomas_quadrature():
-    """Midpoint sums of Nayak's density over height, mean curvature and axis ratio k give the same integrals.
-
-    The share of the curvatures between two k comes from differences of Johnson's equations: no derivative and no factor
-    is shared with the package.  Midpoint error of these steps below 1e-6.
-    """
+    """Midpoint sums of Nayak's density over height, mean curvature and axis ratio k give the same integrals.  The share
+    of the curvatures between two k comes from differences of Johnson's equations: no derivative and no factor is shared
+    with the package.  Midpoint error of these steps below 1e-6."""
     moments, separation = surface.SpectralMoments(1.0, 1.0, 3.0), 1.0
     k = (np.arange(4001)[1:] / 4000) ** 2
     first, second = special.ellipk(1 - k[:-1] ** 2), special.ellipe(1 - k[:-1] ** 2)
@@ -355,12 +349,10 @@ def test_lattice_sums():
 
 @pytest.mark.parametrize("ratio", [0.05, 0.1, 0.15])
 def test_periodic_hertz_minimises_the_energy(ratio):
-    """Of all Hertzian pressures of one load the one of least complementary energy on the cell has this radius.
-
-    The energy ½⟨p u⟩ − ⟨p h⟩ is a sum over modes, with p̃ = 2π p₀ a² (sin x − x cos x)/x³, x = q a.  At the minimum
-    contact is even, u = δ − r²/2R, which gives the approach.  The true pressure leaves Hertz's form by
-    the fifth power of a/L; cutting the sum at q a = 600 adds (q a)^−3 < 1e-8.
-    """
+    """Of all Hertzian pressures of one load the one of least complementary energy on the cell has this radius.  The
+    energy ½⟨p u⟩ − ⟨p h⟩ is a sum over modes, with p̃ = 2π p₀ a² (sin x − x cos x)/x³, x = q a.  At the minimum contact
+    is even, u = δ − r²/2R, which gives the approach.  The true pressure leaves Hertz's form by the fifth power of a/L;
+    cutting the sum at q a = 600 adds (q a)^−3 < 1e-8."""
     tip, free_radius = 40.0, 2.5
     cell = free_radius / ratio
     load = 4 * MODULUS * free_radius**3 / (3 * tip)
@@ -390,9 +382,7 @@ def test_periodic_hertz_minimises_the_energy(ratio):
 @pytest.mark.parametrize("fraction", [0.02, 0.5, 0.95])
 def test_westergaard_solves_its_integral_equation(fraction):
     """u = −(2/πE')∫p ln|2 sin(π(x−x')/λ)|dx' + c touches h in contact and clears it outside; mean gap c, energy ½⟨p u⟩.
-
-    x' = (λ/π) asin(sin(πc/λ) sin θ) makes p dx' smooth; the logarithm is split at x' = x; quadrature to 1e-9.
-    """
+    x' = (λ/π) asin(sin(πc/λ) sin θ) makes p dx' smooth; the logarithm is split at x' = x; quadrature to 1e-9."""
     amplitude, wavelength = 0.3, 7.0
     case = exact.Westergaard(amplitude, wavelength, MODULUS)
     load = fraction * case.full_pressure
@@ -445,10 +435,8 @@ def test_westergaard_full_contact():
 
 
 def test_sinusoid_table_joins_its_asymptotes():
-    """f = 0.01 lies 3 % above the limit of low load, f = 0.9 within 0.002 of that of high load.
-
-    p* is the amplitude of the full-contact pressure of the mode |q| = 2√2π/λ.
-    """
+    """f = 0.01 lies 3 % above the limit of low load, f = 0.9 within 0.002 of that of high load.  p* is the amplitude of
+    the full-contact pressure of the mode |q| = 2√2π/λ."""
     case = exact.Sinusoid2D(0.2, 9.0, MODULUS)
     table = exact.SINUSOID_2D_TABLE
     assert case.full_pressure == pytest.approx(MODULUS / 2 * np.sqrt(2) * 2 * np.pi / 9 * 0.2, rel=1e-14, abs=0)

@@ -66,9 +66,7 @@ def test_no_more_than_there_are_blocks():
 @pytest.mark.parametrize("pause", [0, 0.05])
 @pytest.mark.parametrize("late", [0, 0.05])
 def test_every_thread_that_is_there_works_once_on_each_task(pause, late):
-    """Whether helpers are awake or asleep when it comes, and whether the caller is when they are done; and the caller
-    waits for all that are at work.
-    """
+    """Whether helpers or the caller are asleep; and the caller waits for all that are at work."""
     begun, done = [], []
 
     def work(thread: int):

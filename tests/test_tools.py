@@ -580,8 +580,7 @@ def test_an_exact_field_theory_reads_one(runs):
 )
 def test_energy_of_all_scales_is_that_of_the_run(runs, name, within):
     """½ Σ |σ̃|²/stiffness over all modes is the elastic energy of the table of loads.  Where a run takes it from a
-    response in single precision, compliance, spectrum and two transforms each round by up to 2⁻²⁴.
-    """
+    response in single precision, compliance, spectrum and two transforms each round by up to 2⁻²⁴."""
     import energy_by_scale
 
     for load in reading.loads([runs[name]]):

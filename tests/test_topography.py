@@ -70,9 +70,7 @@ def ones(k_squared):
 
 
 def test_modes_are_bitwise_the_same_on_any_rank_count_and_grid(comm):
-    """Modes depend on (seed, kx, ky) alone: a rank's are bit for bit those of one process, however many columns are
-    made at once, and those of a grid of more points.
-    """
+    """Modes depend on (seed, kx, ky) alone: bit for bit those of one process, of any columns, and of finer grids."""
     for shape in ((31, 26), (32, 27), (8, 1), (67, 2)):
         grid, alone = SlabGrid(comm, shape), SlabGrid(MPI.COMM_SELF, shape)
         fine = SlabGrid(MPI.COMM_SELF, tuple(2 * count + 3 for count in shape))
@@ -90,8 +88,7 @@ def test_modes_are_bitwise_the_same_on_any_rank_count_and_grid(comm):
 
 def brute_mode(seed, kx, ky):
     """The number of a mode from its definition, with Python's integers and libm: splitmix64 of seed, kx, ky in turn
-    gives 53 bits each for the modulus √−ln u and the phase.
-    """
+    gives 53 bits each for the modulus √−ln u and the phase."""
 
     def mix(z):
         z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9 % 2**64
@@ -110,9 +107,8 @@ def brute_mode(seed, kx, ky):
 @pytest.mark.parametrize("seed", [0, 1, 2**63 - 1])
 def test_modes_are_those_of_their_definition(seed):
     """Each mode is its number times the root of its variance, to rounding (4 ulp), so that a seed names the same
-    surface in every version; modes that mirror themselves are Hermitian, and real with the same variance where
-    they stand alone.
-    """
+    surface in every version; modes that mirror themselves are Hermitian, and real with the same variance where they
+    stand alone."""
     grid = SlabGrid(MPI.COMM_SELF, (12, 10), (3.0, 4.0))
 
     def variance(k_squared):
@@ -180,8 +176,7 @@ def test_simple_shapes(comm):
 def test_generator_and_theory_mean_the_same_wavelengths(comm):
     """Mean |h̃|² in the plateau and in three bands of the power law is (2π)² C/A₀ of the continuum theory with the same
     λ_s, λ_r, λ_l and slope: to 5 standard errors, after the one factor by which the sum over the modes of this surface
-    differs from the integral that the theory is scaled with.
-    """
+    differs from the integral that the theory is scaled with."""
     grid = SlabGrid(comm, (256, 192), (128.0, 96.0))
     options = {"hurst": 0.7, "lambda_s": 4.0, "lambda_r": 32.0, "lambda_l": 96.0, "rms_slope": 0.2}
     power, q = modes(grid, SelfAffine(**{**options, "lambda_s": 8, "lambda_r": 64, "lambda_l": 192}).heights(grid))
@@ -211,8 +206,7 @@ def test_any_unit_of_length(comm, exponent):
 def test_any_options_on_any_grid(comm, seed):
     """Options drawn from all that a job accepts, on grids of any shape, cell and rank count: the slope is exact, modes
     are zero outside the band of wavelengths and beyond the cut-off that the surface names, and it is refused just where
-    no mode lies inside; to rounding.
-    """
+    no mode lies inside; to rounding."""
     chance = np.random.default_rng(seed)
     shape = tuple(int(count) for count in chance.choice([1, 2, 3, 8, 15, 16, 31], 2))
     shape = max(shape[0], comm.size), shape[1] if shape[0] > 1 else max(shape[1], 2)

@@ -53,9 +53,7 @@ def killed_at(monkeypatch, number: int):
 
 
 def run(folder, factor: float, mode: str, fields: bool = True, comm=MPI.COMM_SELF, stop=None) -> None:
-    """A run of two loads, all of whose numbers are `factor` times those of the first, with its checkpoints; it may end
-    by the exception `stop`.
-    """
+    """A run of two loads with checkpoints, all numbers `factor` times those of the first; `stop`: how it may end."""
     rows = slab(SHAPE[0], comm.size, comm.rank)
     origin, form = Origin(f"# {factor}", f"factor = {factor}", 2), Form(SHAPE, SHAPE, rows)
     writer = None
@@ -118,9 +116,8 @@ def quick(monkeypatch):
 )
 def test_old_or_new_at_every_instant(tmp_path, monkeypatch, fields, repeated, stride):
     """A run with --overwrite killed at each change of the folder in turn, or one in `stride`: old before one instant,
-    new after.  The run is repeated, killed or not, and ends with the new results and nothing else, in either folder
-    of fields; what every second kill leaves is continued before.
-    """
+    new after.  The run is repeated, killed or not, and ends with the new results and nothing else, in either folder of
+    fields; what every second kill leaves is continued before."""
     found, number = [], 0
     while True:
         folder = tmp_path / str(number)
