@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from conftest import saved as saved_to
 from conftest import whole
-from solids import elastic
+from contacts import elastic, under_hard_wall
 
 from pgfmd.application.job import parse, tables_as_toml
 from pgfmd.application.loads import Checkpoints
@@ -84,7 +84,7 @@ def test_heights_come_back_after_an_error(comm, monkeypatch):
     heights = hill(grid)
     before = heights.copy()
     with pytest.raises(SolverError):
-        solve_hard_wall(ContactProblem(grid, heights, elastic(1.0), HardWall(), 0.01), 1e-40)
+        solve_hard_wall(under_hard_wall(grid, heights, 0.01), 1e-40)
     assert np.array_equal(heights, before)
 
 
@@ -105,7 +105,7 @@ def test_heights_of_the_caller(comm, monkeypatch, how):
         if how != "read only" and level is grid:
             raise ZeroDivisionError
 
-    problem = ContactProblem(grid, heights, elastic(1.0), HardWall(), 0.01)
+    problem = under_hard_wall(grid, heights, 0.01)
     with nullcontext() if how == "read only" else pytest.raises(ZeroDivisionError):
         solve_hard_wall(problem, 1e-8, monitor=monitor)
     if how == "read only" or not shifts[-1]:

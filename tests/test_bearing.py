@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from solids import elastic
+from contacts import solution_of, under_hard_wall
 
 from pgfmd import theory
 from pgfmd.grid.slab_grid import SlabGrid
@@ -12,9 +12,6 @@ from pgfmd.observables.bearing_area import threshold_for_count
 from pgfmd.observables.contact import Contact
 from pgfmd.observables.observable_kinds import OBSERVABLES
 from pgfmd.observables.rough_surface import RoughSurface
-from pgfmd.physics.laws.hard import HardWall
-from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.solution import Certificate, ContactSolution
 from pgfmd.surfaces.self_affine import self_affine
 
 pytestmark = [pytest.mark.mpi, pytest.mark.uneven]
@@ -64,9 +61,9 @@ def bearing(comm, n, hurst, seed, fraction, lambda_s=1.0, names=("bearing", "spe
     pixels = round(fraction * grid.size)
     index = np.arange(grid.rows.start * n, grid.rows.stop * n).reshape(pressure.shape)
     pressure[index < pixels] = 1.0
-    solution = ContactSolution(pressure, pressure, fraction, 0.0, 0.0, Certificate(0.0), 0.0, 0, 0.0, 0.0)
+    solution = solution_of(pressure, pressure, fraction)
     cutoff = 2 * np.pi / lambda_s if lambda_s > 1 else None
-    problem = ContactProblem(grid, heights, elastic(1.0), HardWall())
+    problem = under_hard_wall(grid, heights)
     surface = RoughSurface(problem, [OBSERVABLES[name]() for name in names], cutoff)
     return grid, heights, Contact.of(surface, solution).measure()
 
@@ -98,8 +95,8 @@ def test_autocorrelation_of_a_gaussian_surface(comm):
     grid = SlabGrid(comm, (512, 512))
     heights = self_affine(grid, 0.5, 8, 0.031, 2, lambda_l=16)
     pressure = (np.arange(grid.rows.start, grid.rows.stop) < 128)[:, None] * np.ones((1, 512))
-    solution = ContactSolution(pressure, pressure, 0.25, 0.0, 0.0, Certificate(0.0), 0.0, 0, 0.0, 0.0)
-    problem = ContactProblem(grid, heights, elastic(1.0), HardWall())
+    solution = solution_of(pressure, pressure, 0.25)
+    problem = under_hard_wall(grid, heights)
     surface = RoughSurface(problem, [OBSERVABLES[name]() for name in ("bearing", "acf")])
     groups = Contact.of(surface, solution).measure()
     rho = groups["height_acf"]["value"] / groups["height_acf"]["value"][0]

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import h5py
 import numpy as np
 import pytest
+from contacts import solution_of, under_hard_wall
 from job_texts import rough_job
-from solids import elastic
 
 import pgfmd
 from pgfmd.application import job
@@ -28,9 +28,6 @@ from pgfmd.observables.observable import Observable, layout_of
 from pgfmd.observables.observable_kinds import OBSERVABLES
 from pgfmd.observables.rough_surface import RoughSurface
 from pgfmd.observables.schema import LOADS, Dataset
-from pgfmd.physics.laws.hard import HardWall
-from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.solution import Certificate, ContactSolution
 
 pytestmark = pytest.mark.mpi
 
@@ -55,8 +52,8 @@ def contact_of(comm, pressure, gap, kind, lengths=None):
     """The groups that an observable measures on whole fields, which are cut into slabs."""
     grid = SlabGrid(comm, gap.shape, lengths)
     local, opening = (field[grid.rows].copy() for field in (pressure, gap))
-    surface = RoughSurface(ContactProblem(grid, np.zeros_like(opening), elastic(1.0), HardWall()), [kind])
-    return Contact.of(surface, ContactSolution(local, opening, 1.0, 0.0, 0.0, 0.0, 0.0, 0, 0.0, 0.0)).measure()
+    surface = RoughSurface(under_hard_wall(grid, np.zeros_like(opening)), [kind])
+    return Contact.of(surface, solution_of(local, opening)).measure()
 
 
 def test_numbers_are_on_all_ranks(comm):
@@ -185,10 +182,9 @@ def measure_gap(comm, gap, **options):
     """The spectrum of a whole gap (nx, ny), on every rank, on a surface that has modes up to 1.5."""
     grid = SlabGrid(comm, gap.shape)
     local = gap[grid.rows].copy()
-    solution = ContactSolution(local, local, 1.0, 0.0, 0.0, Certificate(0.0), 0.0, 0, 0.0, 0.0)
-    problem = ContactProblem(grid, local, elastic(1.0), HardWall())
+    problem = under_hard_wall(grid, local)
     surface = RoughSurface(problem, [OBSERVABLES["gap_spectrum"](**options)], 1.5)
-    return Contact.of(surface, solution).measure()["gap_spectrum"]
+    return Contact.of(surface, solution_of(local, local)).measure()["gap_spectrum"]
 
 
 @pytest.mark.uneven

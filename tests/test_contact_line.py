@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 from conftest import SIZE
+from contacts import elastic, under_hard_wall
 from mpi4py import MPI
-from solids import elastic
 
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.contact import Contact
@@ -16,8 +16,6 @@ from pgfmd.observables.contact_area import LARGEST_RATIO, contact_line
 from pgfmd.observables.contact_line import Tables, edge_table, locate
 from pgfmd.observables.patch_table import label_patches
 from pgfmd.observables.rough_surface import RoughSurface
-from pgfmd.physics.laws.hard import HardWall
-from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
 from pgfmd.surfaces.rigid_surface import coordinates
 from pgfmd.surfaces.self_affine import self_affine
@@ -29,7 +27,7 @@ pytestmark = pytest.mark.mpi
 
 def solve(grid, heights, load, modulus=1.0, tolerance=1e-12):
     """Pressure and gap of a hard contact."""
-    found = solve_hard_wall(ContactProblem(grid, heights, elastic(modulus), HardWall(), load), tolerance)
+    found = solve_hard_wall(under_hard_wall(grid, heights, load, elastic(modulus)), tolerance)
     return found.pressure, found.gap
 
 
@@ -161,7 +159,7 @@ def test_straight_edges_on_a_thin_slab(comm, direction):
         for phase in rng.random(2):
             heights = np.cos(2 * np.pi * (direction[0] * x / n + direction[1] * y / n + phase))
             load = float(solid.stiffness(np.array(number))) * (math.sin(half) - half * math.cos(half)) / math.pi
-            found = solve_hard_wall(ContactProblem(grid, heights, solid, HardWall(), load), 1e-12)
+            found = solve_hard_wall(under_hard_wall(grid, heights, load, solid), 1e-12)
             beyond, _ = contact_line(grid, found.pressure, found.gap, solid).total()
             area = grid.reduction.sum(found.pressure > 0) + beyond
             errors.append((area - n * n * half / math.pi) / (n * n * number / math.pi))
@@ -286,6 +284,6 @@ def test_no_line_where_roughness_goes_down_to_the_pixel(comm, hurst, wavelength,
     grid = SlabGrid(comm, (64, 64))
     heights = self_affine(grid, hurst, wavelength, 0.1, 3)
     for thickness, expected in ((math.inf, resolved), (0.1, True)):
-        problem = ContactProblem(grid, heights, elastic(1.0, thickness), HardWall(), 0.01)
+        problem = under_hard_wall(grid, heights, 0.01, elastic(1.0, thickness))
         contact = Contact.of(RoughSurface(problem), solve_hard_wall(problem, 1e-6))
         assert (contact.line is not None) == expected

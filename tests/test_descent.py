@@ -6,8 +6,8 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 from conftest import whole
+from contacts import elastic, under_hard_wall
 from reference import Contact, Solid
-from solids import elastic
 
 from pgfmd.errors import SolverError, Uncertifiable
 from pgfmd.grid import slab_grid, transpose
@@ -47,7 +47,7 @@ def test_oblong_pixels_and_thin_slabs(comm, seed):
     """The method "active-set" certifies its answer, and its true error is not above that (slow reference)."""
     heights, steps, solid, load = awkward(seed)
     grid = SlabGrid(comm, heights.shape, (heights.shape[0] * steps[0], heights.shape[1] * steps[1]))
-    problem = ContactProblem(grid, heights[grid.rows].copy(), solid, HardWall(), float(load))
+    problem = under_hard_wall(grid, heights[grid.rows].copy(), float(load), solid)
     found = solve_contact(problem, Solver(method="active-set", tolerance=TOLERANCE))
     exact = Contact(heights, steps, Solid(1.0, solid.thickness, solid.base)).hard(found.mean_pressure)
     assert exact.error_of(whole(grid, found.pressure)) <= found.certified_error <= TOLERANCE, seed
@@ -78,7 +78,7 @@ def test_what_rounding_forbids_is_not_tried_again(comm, monkeypatch):
     heights, steps, solid, _ = awkward(1)
     grid = SlabGrid(comm, heights.shape)
     monkeypatch.setattr(dispatch, "solve_gfmd", lambda *_: pytest.fail("dynamics were tried"))
-    problem = ContactProblem(grid, heights[grid.rows].copy(), solid, HardWall(), 0.1)
+    problem = under_hard_wall(grid, heights[grid.rows].copy(), 0.1, solid)
     with pytest.raises(Uncertifiable, match="rounding in double precision"):
         solve_contact(problem, Solver(tolerance=1e-33))
 

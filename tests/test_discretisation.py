@@ -7,9 +7,9 @@ from functools import partial
 import numpy as np
 import pytest
 from conftest import SIZE, broad
+from contacts import elastic, under_hard_wall
 from job_texts import rough_job
 from mpi4py import MPI
-from solids import elastic
 
 import pgfmd
 from pgfmd.application.job import parse
@@ -44,7 +44,7 @@ NUMBERS = ("contact_area_corrected", "contact_perimeter", "mean_gap", "elastic_e
 
 def measured(grid, heights, load, cutoff):
     """The row of a load, and its error bars on every rank."""
-    problem = ContactProblem(grid, heights, elastic(1.0), HardWall(), load)
+    problem = under_hard_wall(grid, heights, load)
     surface = RoughSurface(problem, [OBSERVABLES["discretisation"]()], cutoff)
     contact = Contact.of(surface, solve_hard_wall(problem, 1e-9))
     return contact.numbers, grid.comm.bcast(contact.measure()["discretisation"]), contact
@@ -102,7 +102,7 @@ def test_residual_tells_the_error_of_the_mean_gap(comm, thickness):
     for seed in range(8):
         grid = SlabGrid(comm, (96, 96))
         heights = self_affine(grid, 0.6, 8, 0.1, seed)
-        problem = ContactProblem(grid, heights, elastic(1.0, thickness, "bonded", 0.3), HardWall(), 0.01)
+        problem = under_hard_wall(grid, heights, 0.01, elastic(1.0, thickness, "bonded", 0.3))
         loose, tight = (solve_hard_wall(problem, tolerance) for tolerance in (1e-5, 1e-13))
         surface = RoughSurface(problem)
 
@@ -120,7 +120,7 @@ def test_residual_tells_the_error_of_the_mean_gap(comm, thickness):
 def test_bars_of_unresolved_roughness_follow_pressures_at_edges(comm):
     """The energy of pixels at edges, here of the whole field by NumPy."""
     grid = SlabGrid(comm, (40, 32))
-    problem = ContactProblem(grid, self_affine(grid, 0.5, 1.5, 0.1, 3), elastic(1.0), HardWall(), 0.02)
+    problem = under_hard_wall(grid, self_affine(grid, 0.5, 1.5, 0.1, 3), 0.02)
     contact = Contact.of(RoughSurface(problem), solve_hard_wall(problem, 1e-9))
     found = band_errors(contact)
     p = grid.fetch(contact.pressure, 0, 40)
@@ -245,7 +245,7 @@ def test_long_waves_of_the_gap_are_as_uncertain_as_its_mean(comm):
     squares of Gaussian numbers: 1.9 once in 300 times).  As the load lies it would be three times as large."""
 
     def waves(grid, heights):
-        problem = ContactProblem(grid, heights, elastic(1.0), HardWall(), 0.01)
+        problem = under_hard_wall(grid, heights, 0.01)
         return long_waves(problem, solve_hard_wall(problem, 1e-9), None, MODES)
 
     grid = SlabGrid(comm, (128, 128), (1.0, 1.0))

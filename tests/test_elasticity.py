@@ -9,7 +9,7 @@ from decimal import Decimal, localcontext
 import numpy as np
 import pytest
 import reference
-from solids import elastic
+from contacts import elastic, under_hard_wall
 
 import pgfmd
 from pgfmd.application.estimate import Plan
@@ -17,8 +17,6 @@ from pgfmd.application.job import load, parse
 from pgfmd.application.simulate import simulate
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.physics.laws.hard import HardWall
-from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.graded import Graded
 from pgfmd.physics.solids.homogeneous import Layered
 from pgfmd.solvers.dispatch import solve_contact
@@ -253,7 +251,7 @@ def test_a_contact_is_that_of_brute_force(comm, ratio, transform):
         pytest.importorskip("mpi4py_fft")
     heights, solid = np.random.default_rng(7).standard_normal((9, 8)), layered(ratio, (0.3, 0.2), thickness=2.0)
     grid = SlabGrid(comm, heights.shape, transform=transform)
-    problem = ContactProblem(grid, heights[grid.rows].copy(), solid, HardWall(), 0.1)
+    problem = under_hard_wall(grid, heights[grid.rows].copy(), 0.1, solid)
     found = solve_contact(problem, Solver(tolerance=1e-20))
     exact = reference.Contact(heights, (1.0, 1.0), Direct(solid)).hard(0.1)
     exact = 0.1 * exact.x.astype(float).reshape(heights.shape)
@@ -305,7 +303,7 @@ def test_a_slab_by_its_values_at_the_grid_s_waves(comm, shared_tmp_path, base, t
     assert graded.stiffness(q) == pytest.approx(slab.stiffness(q), rel=1e-12, abs=0)
     heights = np.random.default_rng(3).standard_normal(grid.shape)[grid.rows].copy()
     found, expected = (
-        solve_contact(ContactProblem(grid, heights, solid, HardWall(), 0.1), Solver(tolerance=1e-20))
+        solve_contact(under_hard_wall(grid, heights, 0.1, solid), Solver(tolerance=1e-20))
         for solid in (graded, slab)
     )
     assert np.abs(found.pressure - expected.pressure).max() < 1e-9 * grid.reduction.max(expected.pressure)

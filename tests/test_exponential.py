@@ -7,14 +7,13 @@ import math
 import numpy as np
 import pytest
 from conftest import SIZE
+from contacts import elastic, under_hard_wall
 from reference import Contact, Solid
-from solids import elastic
 
 from pgfmd.errors import InputError, SolverError, Uncertifiable
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.laws.exponential_law import ExponentialWall, exponential, logarithm, wright_omega
 from pgfmd.physics.laws.formula import FormulaWall
-from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.law import Units
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers import dispatch
@@ -90,7 +89,7 @@ def test_the_displacement_belongs_to_the_pressure(rough):
 def test_thin_walls_tend_to_the_hard_one(rough):
     """As ζ → 0 pressures tend to those of the hard wall; halving ζ brings them nearer."""
     grid, heights = rough
-    hard = solve_hard_wall(ContactProblem(grid, heights, SOLID, HardWall(), 0.01), 1e-12).pressure
+    hard = solve_hard_wall(under_hard_wall(grid, heights, 0.01, SOLID), 1e-12).pressure
     apart = [
         norm(grid, solve(grid, heights, 0.01, zeta, tolerance=1e-9).pressure - hard)
         for zeta in (4e-3, 2e-3, 1e-3, 1e-4)
@@ -193,7 +192,7 @@ def test_few_transforms_are_enough(comm):
 def test_contact_tends_to_that_of_the_hard_wall(rough):
     """As ζ → 0 its area, with a rim that narrows, tends to the hard wall's from above, within 1 % of weak points."""
     grid, heights = rough
-    hard = solve_hard_wall(ContactProblem(grid, heights, SOLID, HardWall(), 0.01), 1e-9)
+    hard = solve_hard_wall(under_hard_wall(grid, heights, 0.01, SOLID), 1e-9)
     solutions = [hard, *(solve(grid, heights, 0.01, zeta, tolerance=1e-9) for zeta in (1e-4, 1e-3, 3e-3, 1e-2))]
     area, *areas = (grid.reduction.sum(found.pressure_in_contact() > 0) / grid.size for found in solutions)
     assert areas == sorted(areas)

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 from conftest import apart, broad
+from contacts import elastic
 from job_texts import rough_job
 from reference import Contact, Real
-from solids import elastic
 
 import pgfmd
 from pgfmd.errors import InputError

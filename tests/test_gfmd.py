@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from conftest import apart
-from solids import elastic
+from contacts import elastic, under_hard_wall
 
 from pgfmd.errors import InputError, SolverError
 from pgfmd.grid.slab_grid import SlabGrid
@@ -33,10 +33,7 @@ def test_westergaard(comm):
     n, amplitude, f = 256, 1.0, 0.5
     grid = SlabGrid(comm, (n, 8))
     load = f * np.pi * 8 / 3 * amplitude / n
-    found = solve_gfmd(
-        ContactProblem(grid, sinusoid(grid, amplitude, (1, 0)), SOLID, HardWall(), load),
-        tolerance=1e-11,
-    )
+    found = solve_gfmd(under_hard_wall(grid, sinusoid(grid, amplitude, (1, 0)), load, SOLID), tolerance=1e-11)
     assert found.mean_gap == pytest.approx(amplitude * (1 - f + f * math.log(f)), abs=5e-6 * amplitude)
     energy = np.pi * 8 / 3 * amplitude**2 / n * f**2 * (1 - 2 * math.log(f)) / 4
     assert found.elastic_energy == pytest.approx(energy, rel=1e-4, abs=0)
@@ -60,8 +57,8 @@ def test_a_rough_surface_agrees_with_the_hard_wall(comm):
     """512², H = 0.3, λ_s = 8: pressures to 1e-5, the same contact, the certified error kept."""
     grid = SlabGrid(comm, (512, 512))
     heights = self_affine(grid, 0.3, 8.0, 0.031, 2)
-    one = solve_gfmd(ContactProblem(grid, heights, SOLID, HardWall(), 0.004), tolerance=1e-11)
-    two = solve_hard_wall(ContactProblem(grid, heights, SOLID, HardWall(), 0.004), 1e-12)
+    one = solve_gfmd(under_hard_wall(grid, heights, 0.004, SOLID), tolerance=1e-11)
+    two = solve_hard_wall(under_hard_wall(grid, heights, 0.004, SOLID), 1e-12)
     assert apart(grid, one, two) < 1e-5
     assert one.certified_error <= 1e-11
     different = grid.reduction.sum((one.pressure > 0) != (two.pressure > 0))
@@ -87,8 +84,8 @@ def test_slabs_agree_with_the_hard_wall(comm, base):
     """A slab of 8 pixels, ν = 0.4: pressures of both named methods agree to 1e-5 with each base."""
     grid = SlabGrid(comm, (64, 64))
     heights, solid = self_affine(grid, 0.8, 8.0, 0.1, 2), elastic(1.0, 8.0, base, 0.4)
-    one = solve_gfmd(ContactProblem(grid, heights, solid, HardWall(), 0.01), tolerance=1e-13)
-    two = solve_hard_wall(ContactProblem(grid, heights, solid, HardWall(), 0.01), 1e-13)
+    one = solve_gfmd(under_hard_wall(grid, heights, 0.01, solid), tolerance=1e-13)
+    two = solve_hard_wall(under_hard_wall(grid, heights, 0.01, solid), 1e-13)
     assert apart(grid, one, two) < 1e-5
 
 
@@ -122,7 +119,7 @@ def test_what_does_not_arrive_is_an_error(comm):
     grid = SlabGrid(comm, (32, 32))
     with pytest.raises(SolverError, match="after 10 steps"):
         solve_gfmd(
-            ContactProblem(grid, self_affine(grid, 0.8, 4.0, 0.1, 2), SOLID, HardWall(), 0.01),
+            under_hard_wall(grid, self_affine(grid, 0.8, 4.0, 0.1, 2), 0.01, SOLID),
             tolerance=1e-12,
             max_steps=10,
         )
@@ -132,7 +129,7 @@ def test_what_does_not_arrive_is_an_error(comm):
 def test_without_a_load_the_highest_point_touches(comm, method):
     """A hard wall that carries nothing is answered by every method: mean gap = highest point over the mean."""
     grid = SlabGrid(comm, (8, 8))
-    problem = ContactProblem(grid, sinusoid(grid, 1.0), SOLID, HardWall(), 0.0)
+    problem = under_hard_wall(grid, sinusoid(grid, 1.0), 0.0, SOLID)
     assert solve_contact(problem, Solver(method=method)).mean_gap == pytest.approx(1.0)
 
 
@@ -140,7 +137,7 @@ def test_methods_belong_to_walls(comm):
     """Newton's method is not for the hard wall."""
     grid = SlabGrid(comm, (8, 8))
     with pytest.raises(InputError, match="newton"):
-        solve_contact(ContactProblem(grid, sinusoid(grid, 1.0), SOLID, HardWall(), 0.1), Solver(method="newton"))
+        solve_contact(under_hard_wall(grid, sinusoid(grid, 1.0), 0.1, SOLID), Solver(method="newton"))
 
 
 def test_dynamics_step_in_where_the_active_set_fails(comm, monkeypatch):
@@ -152,7 +149,7 @@ def test_dynamics_step_in_where_the_active_set_fails(comm, monkeypatch):
 
     monkeypatch.setitem(dispatch.SOLVERS, "active-set", fail)
     grid = SlabGrid(comm, (32, 32))
-    problem = ContactProblem(grid, self_affine(grid, 0.8, 4.0, 0.1, 2), SOLID, HardWall(), 0.01)
+    problem = under_hard_wall(grid, self_affine(grid, 0.8, 4.0, 0.1, 2), 0.01, SOLID)
     assert solve_contact(problem, Solver(tolerance=1e-8)).certified_error <= 1e-8
     with pytest.raises(SolverError):
         solve_contact(problem, Solver(method="active-set"))

@@ -3,14 +3,12 @@
 import numpy as np
 import pytest
 from conftest import broad, whole
+from contacts import elastic, under_hard_wall
 from mpi4py import MPI
-from solids import elastic
 
 from pgfmd import solve, surface
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.physics.laws.hard import HardWall
-from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set import contact_from_coarse
 from pgfmd.solvers.active_set.active_set import State
 from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
@@ -41,7 +39,7 @@ def westergaard(comm, n, load=0.5):
     x = (coordinates(grid)[0] * np.ones((1, 4)) + 0.5 / n + 0.5) % 1.0 - 0.5
     theory = exact.Westergaard(1.0, 1.0, MODULUS)
     mean = load * theory.full_pressure
-    found = solve_hard_wall(ContactProblem(grid, np.cos(2 * np.pi * x), elastic(MODULUS), HardWall(), mean), 1e-20)
+    found = solve_hard_wall(under_hard_wall(grid, np.cos(2 * np.pi * x), mean, elastic(MODULUS)), 1e-20)
     expected = theory.pressure(x, mean)
     wrong, sums = np.abs(found.pressure - expected), grid.reduction.sum
     width = sums(found.pressure > 0) / 8 / n
@@ -82,9 +80,7 @@ def test_two_dimensional_sinusoid(comm, row):
     grid = SlabGrid(comm, (512, 512), (1.0, 1.0))
     full = exact.Sinusoid2D(1.0, 1.0, MODULUS).full_pressure
     load = table["f"]
-    found = solve_hard_wall(
-        ContactProblem(grid, sinusoid(grid, 1.0, (1, 1)), elastic(MODULUS), HardWall(), load * full), 1e-9
-    )
+    found = solve_hard_wall(under_hard_wall(grid, sinusoid(grid, 1.0, (1, 1)), load * full, elastic(MODULUS)), 1e-9)
     area = corrected_area(whole(grid, found.pressure))
     assert abs(area - table["area"]) <= (0.006 if load == 0.2 else 0.003)
     assert abs(found.mean_gap - table["gap"]) <= 2e-4
@@ -96,9 +92,7 @@ def test_periodic_hertz(comm):
     """Radius and peak pressure at a_H/L = 0.1 on 512² to 1e-4 (the theory's own terms beyond are 1e-5)."""
     grid = SlabGrid(comm, (512, 512), (1.0, 1.0))
     radius, load = 1.0, 4 * MODULUS * 0.1**3 / 3
-    found = solve_hard_wall(
-        ContactProblem(grid, Paraboloid(radius=radius).heights(grid), elastic(MODULUS), HardWall(), load), 1e-11
-    )
+    found = solve_hard_wall(under_hard_wall(grid, Paraboloid(radius=radius).heights(grid), load, elastic(MODULUS)), 1e-11)
     expected = hertz.periodic_contact(load, radius, 1.0, contact_modulus=MODULUS)
     x, y = coordinates(grid)
     second = grid.reduction.sum(((x - 0.5) ** 2 + (y - 0.5) ** 2) * found.pressure) / grid.reduction.sum(found.pressure)
@@ -112,7 +106,7 @@ def test_full_contact_is_exact(comm):
     heights = self_affine(grid, 0.8, 8.0, 0.031, 1)
     response = grid.backward(grid.forward(heights) * MODULUS / 2 * np.sqrt(grid.q_squared()))
     mean = -1.01 * grid.reduction.min(response)
-    found = solve_hard_wall(ContactProblem(grid, heights, elastic(MODULUS), HardWall(), mean), 1e-6)
+    found = solve_hard_wall(under_hard_wall(grid, heights, mean, elastic(MODULUS)), 1e-6)
     assert grid.reduction.max(np.abs(found.pressure - mean - response)) < 1e-10 * mean
     assert (found.iterations, found.mean_gap) == (0, 0.0)
     assert 0 < found.certified_error < 1e-28  # what the digits of a double may amount to
@@ -124,7 +118,7 @@ def test_just_below_full_contact(comm):
     heights = self_affine(grid, 0.8, 8.0, 0.031, 1)
     response = grid.backward(grid.forward(heights) * MODULUS / 2 * np.sqrt(grid.q_squared()))
     found = solve_hard_wall(
-        ContactProblem(grid, heights, elastic(MODULUS), HardWall(), -0.97 * grid.reduction.min(response)), 1e-10
+        under_hard_wall(grid, heights, -0.97 * grid.reduction.min(response), elastic(MODULUS)), 1e-10
     )
     open_points = grid.reduction.sum(found.gap > 0)
     assert 0 < open_points < 100
@@ -135,11 +129,11 @@ def test_zero_load_and_flat_surface(comm):
     """No load: no pressure, the surfaces touch at the summit.  A flat surface: uniform pressure, no gap."""
     grid = SlabGrid(comm, (32, 24))
     heights = self_affine(grid, 0.8, 4.0, 1.0, 1) + 5.0
-    found = solve_hard_wall(ContactProblem(grid, heights, elastic(1.0), HardWall(), 0.0))
+    found = solve_hard_wall(under_hard_wall(grid, heights, 0.0))
     assert not found.pressure.any()
     assert np.allclose(found.gap, grid.reduction.max(heights) - heights, atol=1e-12)
     assert found.mean_gap == pytest.approx(grid.reduction.max(heights) - 5.0, rel=1e-12, abs=0)
-    flat = solve_hard_wall(ContactProblem(grid, np.full(grid.local_shape, 3.0), elastic(1.0), HardWall(), 0.2))
+    flat = solve_hard_wall(under_hard_wall(grid, np.full(grid.local_shape, 3.0), 0.2))
     assert np.allclose(flat.pressure, 0.2, rtol=1e-14, atol=0)
     assert flat.mean_gap == 0
 
@@ -150,7 +144,7 @@ def test_solution_obeys_the_contact_conditions(comm, shape, load):
     """p ≥ 0, gap ≥ 0, p·gap = 0, mean p = p̄, and u = Gp up to a constant wherever points touch: for any grid."""
     grid = SlabGrid(comm, shape)
     heights = self_affine(grid, 0.5, 2.0, 1.0, 5)
-    found = solve_hard_wall(ContactProblem(grid, heights, elastic(1.0), HardWall(), load), 1e-20)
+    found = solve_hard_wall(under_hard_wall(grid, heights, load), 1e-20)
     assert grid.reduction.min(found.pressure) >= 0
     assert grid.reduction.min(found.gap) >= 0
     assert not (found.pressure * found.gap).any()
@@ -178,7 +172,7 @@ def test_certificate_is_a_sharp_bound(comm, lambda_s, load):
     q = np.sqrt(grid.q_squared())
     stress = grid.backward(grid.forward(heights) * MODULUS / 2 * q)
     load *= np.sqrt(grid.reduction.sum(stress**2) / grid.size)
-    problem = ContactProblem(grid, heights, elastic(MODULUS), HardWall(), load)
+    problem = under_hard_wall(grid, heights, load, elastic(MODULUS))
     exactly = solve_hard_wall(problem, 1e-20)
     compliance = np.divide(2 / MODULUS, q, out=np.zeros_like(q), where=q > 0)
     for tolerance in (1e-2, 1e-5, 1e-8, 1e-12):
@@ -209,7 +203,7 @@ def test_rounding_is_counted(solid):
         white, pixel = random.random(shape), np.zeros(shape)
         pixel[-1, 0] = grid.size
         smooth = grid.backward(grid.forward(white) / np.maximum(q, 2 * np.pi / max(grid.lengths)) ** 2)
-        problem = ContactProblem(grid, np.zeros(shape), solid, HardWall(), 1.0)
+        problem = under_hard_wall(grid, np.zeros(shape), 1.0, solid)
         for pressure in (white, np.abs(smooth), np.where(random.random(shape) < 0.1, white, 0), pixel):
             if not pressure.any():
                 continue
@@ -241,9 +235,7 @@ def test_light_loads_are_certified(comm, load, thickness):
     """Down to one pixel of contact, and beyond: the load is carried by the summit, with its energy right."""
     grid = SlabGrid(comm, (40, 36))
     for heights in lightly_loaded(grid):
-        found = solve_hard_wall(
-            ContactProblem(grid, heights, elastic(1.0, thickness, "bonded"), HardWall(), load), 1e-10
-        )
+        found = solve_hard_wall(under_hard_wall(grid, heights, load, elastic(1.0, thickness, "bonded")), 1e-10)
         assert 0 < found.certified_error <= 1e-10
         assert grid.reduction.sum(found.pressure) == pytest.approx(load * grid.size, rel=1e-12, abs=0)
         assert 0 < found.elastic_energy < np.inf
@@ -260,7 +252,7 @@ def test_tolerance_is_met(comm, tolerance):
     heights = self_affine(grid, 0.3, 1.0, 0.031, 1)
     assert (
         solve_hard_wall(
-            ContactProblem(grid, heights, elastic(MODULUS), HardWall(), 0.003), tolerance
+            under_hard_wall(grid, heights, 0.003, elastic(MODULUS)), tolerance
         ).certified_error
         <= tolerance
     )
@@ -269,9 +261,7 @@ def test_tolerance_is_met(comm, tolerance):
 def solved(comm, heights, load, start=None, tolerance=1e-20):
     """Pressure of a whole surface, to 1e-20 on the ranks of comm, so that pressures agree to 1e-9; and the solution."""
     grid = SlabGrid(comm, heights.shape)
-    found = solve_hard_wall(
-        ContactProblem(grid, heights[grid.rows].copy(), elastic(1.0), HardWall(), load), tolerance, start=start
-    )
+    found = solve_hard_wall(under_hard_wall(grid, heights[grid.rows].copy(), load), tolerance, start=start)
     return whole(grid, found.pressure), found
 
 
@@ -282,9 +272,7 @@ def test_work_does_not_grow_with_the_grid(comm):
     for n in (512, 2048):
         grid = SlabGrid(comm, (n, n))
         heights = self_affine(grid, 0.3, 1.0, 0.031, 1)
-        counts.append(
-            solve_hard_wall(ContactProblem(grid, heights, elastic(2.0), HardWall(), 0.0044), 1e-4).transforms
-        )
+        counts.append(solve_hard_wall(under_hard_wall(grid, heights, 0.0044, elastic(2.0)), 1e-4).transforms)
     assert counts[1] < 1.25 * counts[0]
 
 
@@ -321,7 +309,7 @@ def test_pressures_or_gaps_as_unknowns(comm, monkeypatch, lambda_s):
         monkeypatch.setattr(contact_from_coarse, "GAPS_FROM", mostly)
         found.append(
             contact_from_coarse.solve_hard_wall(
-                ContactProblem(grid, heights, elastic(MODULUS), HardWall(), 0.0085 * MODULUS), 1e-20
+                under_hard_wall(grid, heights, 0.0085 * MODULUS, elastic(MODULUS)), 1e-20
             )
         )
     by_gaps, by_pressures = (solution.pressure for solution in found)
@@ -379,11 +367,9 @@ def test_heights_are_kept_unless_given_away(comm, rough):
     """The heights come back untouched; where they may be overwritten the answer is the same."""
     grid = SlabGrid(comm, rough.shape)
     heights = rough[grid.rows].copy()
-    kept = solve_hard_wall(ContactProblem(grid, heights, elastic(1.0), HardWall(), 0.1), 1e-10)
+    kept = solve_hard_wall(under_hard_wall(grid, heights, 0.1), 1e-10)
     assert np.array_equal(heights, rough[grid.rows])
-    given = solve_hard_wall(
-        ContactProblem(grid, heights, elastic(1.0), HardWall(), 0.1), 1e-10, overwrite_heights=True
-    )
+    given = solve_hard_wall(under_hard_wall(grid, heights, 0.1), 1e-10, overwrite_heights=True)
     assert np.array_equal(kept.pressure, given.pressure)
 
 
@@ -393,7 +379,7 @@ def test_one_step_sees_how_the_set_of_unknowns_changes(comm, seed):
     residual by 7 could do no better than 49, since the set of unknowns is that of another load."""
     grid = SlabGrid(comm, (256, 256))
     heights = self_affine(grid, 0.8, 8.0, 0.031, seed)
-    start, problem = (ContactProblem(grid, heights, elastic(MODULUS), HardWall(), p) for p in (0.004, 0.0044))
+    start, problem = (under_hard_wall(grid, heights, p, elastic(MODULUS)) for p in (0.004, 0.0044))
     found = solve_hard_wall(start, 1e-12)
     state, solver = State(1.1 * found.pressure, found.gap.copy()), PressureSteps(problem)
     system = solver.linearise(state, np.float32)

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 from conftest import whole
+from contacts import elastic
 from job_texts import rough_job
 from reference import Contact, Real, Solid, Unable
-from solids import elastic
 
 import pgfmd
 from pgfmd.application.job import parse

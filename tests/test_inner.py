@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
+from contacts import elastic, under_hard_wall
 from mpi4py import MPI
-from solids import elastic
 
 from pgfmd.grid import grid_cost
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel import alone, layout
 from pgfmd.parallel.layout import Exchange, Layout, RowPlan, RowWindow, hops
-from pgfmd.physics.laws.hard import Hardness, HardWall
+from pgfmd.physics.laws.hard import Hardness
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set import continuation, preconditioner
 from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
@@ -320,8 +320,8 @@ def test_tensions_are_cut_where_they_are(shape):
     old = np.where(mask, np.random.default_rng(4).standard_normal(shape) + 0.8, 0)
     pressure = old[grid.rows].copy()
     load = 1.1 * old.sum()
-    problem = ContactProblem(grid, np.zeros_like(pressure), elastic(1.0), HardWall(), load / grid.size)
-    Feasible(grid).make(problem, points, (pressure, np.zeros_like(pressure)))
+    problem = under_hard_wall(grid, np.zeros_like(pressure), load / grid.size)
+    Feasible(problem).make(points, (pressure, np.zeros_like(pressure)))
     new = np.concatenate(comm.allgather(pressure))
     assert new.min() == 0 and new.sum() == pytest.approx(load, rel=1e-12, abs=0)
     before, after = (
@@ -377,16 +377,12 @@ def test_a_mountain_in_one_slab(n):
         if level is grid:
             seen.append(np.concatenate(comm.allgather(state.pressure)))
 
-    mine = solve_hard_wall(
-        ContactProblem(grid, heights[grid.rows], elastic(1.0), HardWall(), 1e-3), 1e-9, monitor=monitor
-    )
-    alone = solve_hard_wall(ContactProblem(one, heights, elastic(1.0), HardWall(), 1e-3), 1e-9)
+    mine = solve_hard_wall(under_hard_wall(grid, heights[grid.rows], 1e-3), 1e-9, monitor=monitor)
+    alone = solve_hard_wall(under_hard_wall(one, heights, 1e-3), 1e-9)
     found = np.concatenate(comm.allgather(mine.pressure))
     assert np.abs(found - alone.pressure).max() < 1e-3 * alone.pressure.max()
     assert np.array_equal(seen[-1] > 0, found > 0)
-    again = solve_hard_wall(
-        ContactProblem(grid, heights[grid.rows], elastic(1.0), HardWall(), 1e-3), 1e-9, start=mine.pressure
-    )
+    again = solve_hard_wall(under_hard_wall(grid, heights[grid.rows], 1e-3), 1e-9, start=mine.pressure)
     again = np.concatenate(comm.allgather(again.pressure))
     assert np.abs(again - alone.pressure).max() < 1e-3 * alone.pressure.max()
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from solids import elastic
+from contacts import elastic, under_hard_wall
 
 from pgfmd.errors import InputError, SolverError, Unreachable
 from pgfmd.grid.slab_grid import SlabGrid
@@ -90,7 +90,7 @@ def test_under_a_hard_wall_one_solution_meets_a_target(rough, control, target):
     target *= 1 if control == "contact_area" else rms
     found = counted.solution(target)
     assert counted.solves == 1
-    problem = ContactProblem(grid, heights, SOLID, HardWall(), found.mean_pressure)
+    problem = under_hard_wall(grid, heights, found.mean_pressure, SOLID)
     again = solve_contact(problem, Solver(tolerance=1e-12))
     area = grid.reduction.sum(again.pressure > 0) / grid.size
     value = {"contact_area": area, "mean_gap": again.mean_gap, "displacement": again.approach}[control]
@@ -103,7 +103,7 @@ def test_a_load_does_not_depend_on_the_loads_before(rough):
     counted = Counted("pressure", grid, heights, tolerance=1e-18)
     for load in (0.004, 0.00402, 0.0041, 0.02, 0.0199, 0.0041, 0.00402, 0.004):
         found = counted.solution(load)
-        cold = solve_contact(ContactProblem(grid, heights, SOLID, HardWall(), load), Solver(tolerance=1e-18))
+        cold = solve_contact(under_hard_wall(grid, heights, load, SOLID), Solver(tolerance=1e-18))
         apart = found.pressure - cold.pressure
         assert math.sqrt(grid.reduction.dot(apart, apart) / grid.reduction.dot(cold.pressure, cold.pressure)) < 1e-8
 
@@ -122,7 +122,7 @@ def test_threads_make_no_collective_call(comm, monkeypatch):
     """Threads sum heights in bands: ranks must not meet in there, as threads of others come in other orders."""
     grid = SlabGrid(comm, (32, 8))
     heights = 3.0 + self_affine(grid, 0.8, 8.0, 0.1, 1)
-    control = CONTROLS["contact_area"](ContactProblem(grid, heights, SOLID, HardWall()), Load(contact_area=(0.1,)))
+    control = CONTROLS["contact_area"](under_hard_wall(grid, heights, solid=SOLID), Load(contact_area=(0.1,)))
     within, calls, collect, kind = [], [], grid.threads.collect, type(grid.reduction)
 
     def watched(*arguments):
@@ -165,7 +165,7 @@ def test_where_an_area_jumps_the_load_is_that_of_the_jump(comm, target):
     found = Counted("contact_area", grid, heights).solution(target)
     areas = []
     for load in found.mean_pressure * np.array([1 - 3e-4, 1 + 3e-4]):
-        near = solve_contact(ContactProblem(grid, heights, SOLID, HardWall(), load), Solver(tolerance=1e-14))
+        near = solve_contact(under_hard_wall(grid, heights, load, SOLID), Solver(tolerance=1e-14))
         areas.append(grid.reduction.sum(near.pressure > 0) / grid.size)
     assert areas[0] < target < areas[1]
 
@@ -231,7 +231,7 @@ def test_a_guess_has_no_unit_of_length(comm):
 
     def guess(scale: float) -> float:
         grid = SlabGrid(comm, (32, 32), (32.0 * scale, 32.0 * scale))
-        problem = ContactProblem(grid, self_affine(grid, 0.8, 8.0 * scale, 0.1, 1), SOLID, HardWall(), 0.01)
+        problem = under_hard_wall(grid, self_affine(grid, 0.8, 8.0 * scale, 0.1, 1), 0.01, SOLID)
         control = CONTROLS["mean_gap"](problem, Load(mean_gap=[1.0]))
         return control.guess(control.rms_height)
 
@@ -251,7 +251,7 @@ def test_energy_and_gap_belong_together(rough):
     """dE_el/dp̄ = −p̄ dḡ/dp̄ for the hard wall, by central differences (relative error of order step²)."""
     grid, heights = rough
     load, step = 0.01, 1e-3
-    problem = ContactProblem(grid, heights, SOLID, HardWall())
+    problem = under_hard_wall(grid, heights, solid=SOLID)
     low, high = (solve_contact(problem.at(load * f), Solver(tolerance=1e-12)) for f in (1 - step, 1 + step))
     work = -load * (high.mean_gap - low.mean_gap)
     assert high.elastic_energy - low.elastic_energy == pytest.approx(work, rel=1e-4, abs=0)
@@ -357,7 +357,7 @@ def test_heights_far_from_zero_keep_their_mean_gap(comm):
     heights = (np.random.default_rng(4).standard_normal(grid.shape) + 7.3e9)[grid.rows]
     found = []
     for surface in (heights, heights - 7.3e9):
-        problem = ContactProblem(grid, surface, elastic(1.0), HardWall())
+        problem = under_hard_wall(grid, surface)
         control = LoadControl(Load(mean_gap=(0.3,), gap_tolerance=1e-7), problem, 1e-14)
         found.append(control.solution(0.3))
         assert found[-1].mean_gap == pytest.approx(0.3, rel=1e-7, abs=0)

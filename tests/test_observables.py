@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import math
 import tracemalloc
 
 import numpy as np
 import pytest
+from contacts import elastic, solution_of, under_hard_wall
 from mpi4py import MPI
-from solids import elastic
 from whole_fields import rowblocks
 
 from pgfmd.errors import InputError, SolverError
@@ -25,11 +24,9 @@ from pgfmd.observables.lowpass import coarsening, lowpass, octaves, touches_full
 from pgfmd.observables.observable_kinds import LAYOUT, OBSERVABLES
 from pgfmd.observables.rough_surface import Rings, RoughSurface, correlate, indicator, mode_rings
 from pgfmd.physics.laws.exponential_law import ExponentialWall
-from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
 from pgfmd.solvers.dispatch import solve_contact
-from pgfmd.solvers.solution import Certificate, ContactSolution
 from pgfmd.surfaces.rigid_surface import coordinates
 from pgfmd.surfaces.self_affine import self_affine
 from pgfmd.surfaces.sinusoid import sinusoid
@@ -52,12 +49,6 @@ def fields(shape):
     return heights, np.maximum(heights + 0.3 * rng.normal(size=shape) - 1.5, 0)
 
 
-def solved(pressure, gap=None):
-    """A solution of which only the fields matter."""
-    gap = np.where(pressure > 0, 0.0, 1.0) if gap is None else gap
-    return ContactSolution(pressure, gap, 1.0, 0.0, 0.0, Certificate(0.0), 0.0, 0, 0.0, 0.0)
-
-
 def asked(names, **tables):
     """Observables by name, with their tables of options."""
     return [OBSERVABLES[name](**tables.get(name, {})) for name in names]
@@ -67,8 +58,8 @@ def observe(comm, shape, lengths, names=NAMES[:5], cutoff=None, **tables):
     """Groups of whole fields that are cut into slabs; those of rank 0 on every rank."""
     grid = SlabGrid(comm, shape, lengths)
     heights, pressure = (field[grid.rows].copy() for field in fields(shape))
-    surface = RoughSurface(ContactProblem(grid, heights, elastic(MODULUS), HardWall()), asked(names, **tables), cutoff)
-    return comm.bcast(Contact.of(surface, solved(pressure)).measure())
+    surface = RoughSurface(under_hard_wall(grid, heights, solid=elastic(MODULUS)), asked(names, **tables), cutoff)
+    return comm.bcast(Contact.of(surface, solution_of(pressure)).measure())
 
 
 def whole_transform(field):
@@ -226,9 +217,9 @@ def test_work(comm, names, first, each):
     """Only what is asked for is computed: transforms for the heights, once, and for each load."""
     grid = SlabGrid(comm, (24, 24))
     heights, pressure = (field[grid.rows].copy() for field in fields(grid.shape))
-    surface = RoughSurface(ContactProblem(grid, heights, elastic(MODULUS), HardWall()), asked(names))
+    surface = RoughSurface(under_hard_wall(grid, heights, solid=elastic(MODULUS)), asked(names))
     assert grid.transforms == first
-    contact = Contact.of(surface, solved(pressure))
+    contact = Contact.of(surface, solution_of(pressure))
     assert contact.numbers and contact.measure() is not None
     assert grid.transforms == first + each
     assert sorted(surface.seconds) == sorted(names) and min(surface.seconds.values(), default=1) > 0
@@ -240,9 +231,9 @@ def test_memory(comm):
     tracemalloc.start()
     grid, solid = SlabGrid(comm, (512, 512)), elastic(MODULUS)
     heights = self_affine(grid, 0.5, 8, 0.05, 5)
-    surface = RoughSurface(ContactProblem(grid, heights, solid, HardWall()), asked(NAMES), 2 * np.pi / 8)
+    surface = RoughSurface(under_hard_wall(grid, heights, solid=solid), asked(NAMES), 2 * np.pi / 8)
     tracemalloc.reset_peak()
-    solution = solve_hard_wall(ContactProblem(grid, heights, solid, HardWall(), 0.01), 1e-3)
+    solution = solve_hard_wall(under_hard_wall(grid, heights, 0.01, solid), 1e-3)
     solving = tracemalloc.get_traced_memory()[1]
     tracemalloc.reset_peak()
     Contact.of(surface, solution).measure()
@@ -280,15 +271,15 @@ def test_row(comm):
     """κ = f_c E' g/p̄ with the surface's spectral slope, and nan at no load; all numbers of the schema are there."""
     grid = SlabGrid(comm, (32, 48), (32.0, 24.0))
     heights = self_affine(grid, 0.5, 1, 0.07, 3)
-    surface = RoughSurface(ContactProblem(grid, heights, elastic(MODULUS), HardWall()))
+    surface = RoughSurface(under_hard_wall(grid, heights, solid=elastic(MODULUS)))
     assert surface.rms_slope == pytest.approx(0.07, rel=1e-12, abs=0)  # that of which the surface was made
-    solution = solve_hard_wall(ContactProblem(grid, heights, elastic(MODULUS), HardWall(), 0.01), 1e-3)
+    solution = solve_hard_wall(under_hard_wall(grid, heights, 0.01, elastic(MODULUS)), 1e-3)
     row = Contact.of(surface, solution).numbers
     assert schema.LOADS.keys() - row.keys() == {"target"}  # which the job knows
     assert row["contact_area"] == grid.reduction.sum(solution.pressure > 0) / grid.size
     assert row["kappa"] == pytest.approx(row["contact_area"] * MODULUS * 0.07 / 0.01, rel=1e-12, abs=0)
     assert 0 < row["pressure_error"] == solution.pressure_error < 1
-    unloaded = solve_hard_wall(ContactProblem(grid, heights, elastic(MODULUS), HardWall(), 0.0))
+    unloaded = solve_hard_wall(under_hard_wall(grid, heights, 0.0, elastic(MODULUS)))
     nothing = Contact.of(surface, unloaded).numbers
     assert nothing["contact_area"] == nothing["contact_area_corrected"] == 0 and math.isnan(nothing["kappa"])
 
@@ -297,8 +288,8 @@ def test_patches_hold_the_contact(comm):
     """Areas add up to the contact area, loads to the load; labels are the numbers of the rows of the table."""
     grid = SlabGrid(comm, (24, 30), (24.0, 15.0))
     heights, pressure = (field[grid.rows].copy() for field in fields(grid.shape))
-    surface = RoughSurface(ContactProblem(grid, heights, elastic(MODULUS), HardWall()), asked(["patches"]))
-    contact = Contact.of(surface, solved(pressure))
+    surface = RoughSurface(under_hard_wall(grid, heights, solid=elastic(MODULUS)), asked(["patches"]))
+    contact = Contact.of(surface, solution_of(pressure))
     table = comm.bcast(contact.measure()["patches"])
     assert table["area"].sum() == contact.area.pixels * grid.pixel_area
     assert table["load"].sum() == pytest.approx(grid.reduction.sum(pressure) * grid.pixel_area, rel=1e-14, abs=0)
@@ -406,10 +397,9 @@ def test_area_of_the_low_passed_surface(comm):
         assert problem.grid.shape[0] < 512 and start is None and problem.mean_pressure == load
         return solve_hard_wall(problem, 1e-8)
 
-    problem = ContactProblem(grid, heights, elastic(MODULUS), HardWall())
+    problem = under_hard_wall(grid, heights, solid=elastic(MODULUS))
     surface = RoughSurface(problem, asked(["lowpass"], lowpass={"q": q}), solve=solve)
-    nothing = np.zeros(grid.local_shape)
-    contact = Contact.of(surface, dataclasses.replace(solved(nothing), mean_pressure=load))
+    contact = Contact.of(surface, solution_of(np.zeros(grid.local_shape), mean_pressure=load))
     found = contact.measure()["lowpass_area"]
     cell = contact.surface.cell
     assert coarsening(cell, q[0]) > coarsening(cell, q[1]) > 1
@@ -423,7 +413,7 @@ def test_area_is_that_of_the_finest_grid(comm):
     lines, to .5 %.  8 points per wave err by up to .2 % for a spectrum that ends there, a few patches by more."""
     grid, solid = SlabGrid(comm, (256, 256)), elastic(MODULUS)
     heights = self_affine(grid, 0.5, 4, 0.05, 5)
-    problem = ContactProblem(grid, heights, solid, HardWall(), 0.01)
+    problem = under_hard_wall(grid, heights, 0.01, solid)
     surface = RoughSurface(problem, asked(["lowpass"], lowpass={"q": 2 * np.pi / np.array([64, 32])}))
     solution = solve_hard_wall(problem, 1e-4)
     found = Contact.of(surface, solution).measure()["lowpass_area"]
@@ -438,7 +428,7 @@ def test_area_is_that_of_the_finest_grid(comm):
 def test_area_of_a_surface_without_waves(comm):
     """Below its only wave, of which rounding is left, a surface is flat: f = 1, at any load that is not nothing."""
     grid = SlabGrid(comm, (48, 48))
-    problem = ContactProblem(grid, sinusoid(grid, 0.1, (2, 0)), elastic(MODULUS), HardWall(), 0.003)
+    problem = under_hard_wall(grid, sinusoid(grid, 0.1, (2, 0)), 0.003, elastic(MODULUS))
     surface = RoughSurface(problem, asked(["lowpass"], lowpass={"q": [2 * np.pi / 48, 2 * np.pi / 24]}))
     contact = Contact.of(surface, solve_contact(problem))
     found = contact.measure()["lowpass_area"]
@@ -449,7 +439,7 @@ def test_area_of_a_surface_without_waves(comm):
 def test_no_contact_has_a_negative_area(comm):
     """At a load that one pixel bears, the area inside the line is positive and not above that of the pixels."""
     grid = SlabGrid(comm, (64, 64))
-    problem = ContactProblem(grid, self_affine(grid, 0.8, 16, 0.1, 1), elastic(1.0), HardWall(), 1e-9)
+    problem = under_hard_wall(grid, self_affine(grid, 0.8, 16, 0.1, 1), 1e-9)
     solution = solve_hard_wall(problem, 1e-8)
     area = Contact.of(RoughSurface(problem, [], 2 * np.pi / 16), solution).area
     assert area.pixels == 1 and 0 < area.corrected <= area.fraction and area.perimeter > 0
@@ -462,7 +452,7 @@ def test_cross_spectra_in_any_units(comm):
     for length, pressure in ((1.0, 1.0), (1e-90, 1e80)):
         grid = SlabGrid(comm, (16, 12), (16 * length, 12 * length))
         heights = np.random.default_rng(3).standard_normal(grid.shape)[grid.rows] * length
-        problem = ContactProblem(grid, heights, elastic(pressure), HardWall(), 0.05 * pressure)
+        problem = under_hard_wall(grid, heights, 0.05 * pressure, elastic(pressure))
         contact = Contact.of(RoughSurface(problem, asked(["spectra"])), solve_hard_wall(problem, 1e-12))
         found.append(contact.cross_power / pressure / length)
     np.testing.assert_allclose(found[1], found[0], rtol=1e-4, atol=1e-4 * np.abs(found[0]).max())
@@ -472,7 +462,7 @@ def test_pressure_in_full_contact(comm):
     """Where every point touches, the spectrum of the pressure is that of full contact in each bin, mode by mode."""
     grid = SlabGrid(comm, (24, 15), (24.0, 30.0))
     heights = self_affine(grid, 0.5, 4, 0.01, 1)
-    problem = ContactProblem(grid, heights, elastic(1.0, thickness=3.0), HardWall(), 1.0)
+    problem = under_hard_wall(grid, heights, 1.0, elastic(1.0, thickness=3.0))
     surface = RoughSurface(problem, asked(["spectra"]))
     groups = comm.bcast(Contact.of(surface, solve_hard_wall(problem, 1e-12)).measure())
     stress, full = (groups[f"{name}_spectrum"]["value"] for name in ("stress", "full_contact"))
@@ -483,7 +473,7 @@ def test_no_patch_has_a_negative_area(comm):
     """Lines around single pixels close to other patches enclosed less than nothing: such patches have the area and the
     perimeter of their pixels, which are more than the lines give."""
     grid = SlabGrid(comm, (128, 128))
-    problem = ContactProblem(grid, self_affine(grid, 0.3, 4, 0.1, 1), elastic(1.0), HardWall(), 1e-3)
+    problem = under_hard_wall(grid, self_affine(grid, 0.3, 4, 0.1, 1), 1e-3)
     contact = Contact.of(RoughSurface(problem, [], 2 * np.pi / 4), solve_hard_wall(problem, 1e-10))
     labels = contact.labels(8)
     beyond, length = (grid.reduction.sum(part) for part in contact.line_of_patches(8))
@@ -500,7 +490,7 @@ def test_a_contact_that_cannot_be_had_is_not_given(comm, caplog, failure):
     """What an uncertified further contact would give is NaN, the log says why, all else is there, with area bars."""
     grid = SlabGrid(comm, (64, 64))
     heights = self_affine(grid, 0.5, 16, 0.05, 5)
-    problem = ContactProblem(grid, heights, elastic(MODULUS), HardWall(), 0.003)
+    problem = under_hard_wall(grid, heights, 0.003, elastic(MODULUS))
     waves = 2 * np.pi / np.array([64, 32, 16])
 
     def solve(problem, start, options=None):
@@ -529,7 +519,7 @@ def test_full_contact_is_foreseen(comm, thickness):
     assert thickness < np.inf or full == pytest.approx(np.pi * MODULUS * 0.1 / 32, rel=1e-12, abs=0)
     heights = sinusoid(grid, 0.1, (3, 0))
     for load, expected in ((0.999, False), (1.001, True)):
-        assert touches_fully(ContactProblem(grid, heights, solid, HardWall(), load * full)) == expected
+        assert touches_fully(under_hard_wall(grid, heights, load * full, solid)) == expected
 
 
 def test_octaves():
@@ -543,9 +533,9 @@ def test_area_of_the_whole_surface(comm):
     """f(q) ends at the contact area itself, without another solution, and leaves that one as it was, bit for bit."""
     grid, solid = SlabGrid(comm, (64, 64)), elastic(MODULUS)
     heights = self_affine(grid, 0.5, 1, 0.05, 5)
-    solution = solve_hard_wall(ContactProblem(grid, heights, solid, HardWall(), 0.01), 1e-6)
+    solution = solve_hard_wall(under_hard_wall(grid, heights, 0.01, solid), 1e-6)
     before = solution.pressure.copy(), solution.gap.copy(), heights.copy()
-    surface = RoughSurface(ContactProblem(grid, heights, solid, HardWall()), asked(["lowpass"]))
+    surface = RoughSurface(under_hard_wall(grid, heights, solid=solid), asked(["lowpass"]))
     contact = Contact.of(surface, solution)
     found = contact.measure()["lowpass_area"]
     assert found["area"][-1] == contact.area.fraction

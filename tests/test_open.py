@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import reference
 from conftest import broad
+from contacts import elastic, under_hard_wall
 from mpi4py import MPI
-from solids import elastic
 
 import pgfmd
 from pgfmd.application.job import load
@@ -200,7 +200,7 @@ def test_certificate_and_solution_against_brute_force(count):
         contact = reference.OpenContact(heights, spacing, reference.Solid(MODULUS), grid.torus)
         unit, dense = float(contact.pixel), contact.compliance.astype(float)
         assert np.abs(matrix(grid) / unit - dense).max() < 1e-13 and np.linalg.eigvalsh(dense).min() > 0
-        problem = ContactProblem(grid, heights, elastic(MODULUS), HardWall(), mean)
+        problem = under_hard_wall(grid, heights, mean, elastic(MODULUS))
         found, exact = solve_contact(problem, Solver(tolerance=1e-12)), contact.hard(mean)
         assert exact.error_of(found.pressure) <= found.certified_error <= 1e-12
         table = open_kernel.half_space_table(grid) / MODULUS

@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 import pytest
+from contacts import elastic
 from job_texts import rough_job
 from mpi4py import MPI
 from scipy.optimize import lsq_linear
-from solids import elastic
 
 import pgfmd
 from pgfmd.application import job

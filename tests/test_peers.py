@@ -9,20 +9,16 @@ N, PRESSURE, MODULUS = 256, 0.003, 8 / 3
 @pytest.fixture(scope="module", params=[(0.8, 16.0), (0.3, 1.0)], ids=["smooth", "rough"])
 def contact(request, comm):
     """Heights and our pressure (256, 256): self-affine, certified to 1e-15 of the energy, the pressure's square."""
-    from solids import elastic
+    from contacts import elastic, under_hard_wall
 
     from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.physics.laws.hard import HardWall
-    from pgfmd.physics.problem import ContactProblem
     from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
     from pgfmd.surfaces.self_affine import self_affine
 
     hurst, lambda_s = request.param
     grid = SlabGrid(comm, (N, N))
     heights = self_affine(grid, hurst, lambda_s, 0.031, 1)
-    return heights, solve_hard_wall(
-        ContactProblem(grid, heights, elastic(MODULUS), HardWall(), PRESSURE), 1e-15
-    ).pressure
+    return heights, solve_hard_wall(under_hard_wall(grid, heights, PRESSURE, elastic(MODULUS)), 1e-15).pressure
 
 
 def _agree(theirs: np.ndarray, ours: np.ndarray) -> None:
@@ -105,7 +101,7 @@ def test_limited_hardness_by_contact_mechanics(comm, hurst, lambda_s, hardness):
     pytest.importorskip("ContactMechanics")
     from ContactMechanics import PeriodicFFTElasticHalfSpace
     from ContactMechanics.Optimization import constrained_conjugate_gradients
-    from solids import elastic
+    from contacts import elastic
 
     from pgfmd.grid.slab_grid import SlabGrid
     from pgfmd.physics.laws.hard import Hardness

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from contacts import elastic
 from job_texts import rough_job
-from solids import elastic
 
 import pgfmd
 from pgfmd.errors import InputError

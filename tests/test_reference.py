@@ -164,7 +164,7 @@ def test_units_do_not_matter(unit):
 def test_slab_factors_keep_their_digits(base, poisson):
     """The program's F(t) against the closed forms in decimals, from films 1e-13 of a wavelength thick to 50: to a few
     units of the last digit, which certificates count as no more than 4."""
-    from solids import elastic
+    from contacts import elastic
 
     thickness = np.geomspace(1e-13, 50, 1000)
     found = elastic(1.0, 1.0, base, poisson).factor(thickness)

@@ -7,8 +7,8 @@ import math
 
 import numpy as np
 import pytest
+from contacts import elastic, under_hard_wall
 from job_texts import rough_job
-from solids import elastic
 
 import pgfmd
 from pgfmd.application import job
@@ -178,7 +178,7 @@ def test_in_a_run(comm, shared_tmp_path):
 def test_refused(comm):
     """A conductance of a slab, a wall without a stiffness, and a field without its observable are refused by name."""
     grid = SlabGrid(comm, (8, 8))
-    slab = ContactProblem(grid, np.zeros(grid.local_shape), elastic(1.0, 3.0), HardWall())
+    slab = under_hard_wall(grid, np.zeros(grid.local_shape), solid=elastic(1.0, 3.0))
     with pytest.raises(InputError, match="half-spaces"):
         RoughSurface(slab, [Stiffness(conductivities=(1.0, 1.0))])
     with pytest.raises(InputError, match='half_grid needs boundary = "periodic"'):

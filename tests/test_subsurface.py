@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 import pytest
+from contacts import elastic, solution_of, under_hard_wall
 from job_texts import rough_job
-from solids import elastic
 
 import pgfmd
 from pgfmd.application import job
@@ -18,20 +18,16 @@ from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.contact import Contact
 from pgfmd.observables.rough_surface import RoughSurface
 from pgfmd.observables.subsurface import Subsurface, _summit
-from pgfmd.physics.laws.hard import HardWall
-from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.homogeneous import Homogeneous
-from pgfmd.solvers.solution import Certificate, ContactSolution
 
 
 def profile(comm, pressure, poisson, depths):
     """What is measured below a whole pressure (nx, ny)."""
     grid = SlabGrid(comm, pressure.shape)
     local = pressure[grid.rows].copy()
-    problem = ContactProblem(grid, np.zeros(local.shape), elastic(1.0, poisson=poisson), HardWall())
+    problem = under_hard_wall(grid, np.zeros(local.shape), solid=elastic(1.0, poisson=poisson))
     surface = RoughSurface(problem, [Subsurface(depths=depths)])
-    solution = ContactSolution(local, local * 0, pressure.mean(), 0.0, 0.0, Certificate(0.0), 0.0, 0, 0.0, 0.0)
-    return Contact.of(surface, solution).measure()["subsurface"]
+    return Contact.of(surface, solution_of(local, local * 0, pressure.mean())).measure()["subsurface"]
 
 
 @pytest.mark.mpi
@@ -94,7 +90,7 @@ def test_refused(comm):
     flat = np.zeros(grid.local_shape)
     for solid, why in ((Homogeneous(contact_modulus=1.0), "Poisson"), (elastic(1.0, 3.0), "half-space only")):
         with pytest.raises(InputError, match=why):
-            RoughSurface(ContactProblem(grid, flat, solid, HardWall()), [Subsurface()])
+            RoughSurface(under_hard_wall(grid, flat, solid=solid), [Subsurface()])
 
 
 def test_lengths_whose_squares_overflow():

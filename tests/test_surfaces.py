@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 from conftest import ROOT, whole
+from contacts import elastic, under_hard_wall
 from job_texts import SOLID
 from mpi4py import MPI
-from solids import elastic
 
 import pgfmd
 from pgfmd.application import job
@@ -19,7 +19,6 @@ from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.laws.exponential_law import ExponentialWall
-from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
 from pgfmd.solvers.exponential_wall.newton_from_coarse import solve_exponential_wall
@@ -60,9 +59,7 @@ def test_waves_along_both_axes_of_stretched_pixels(comm):
         shape, lengths = (n, other), (1.0, 5 * other / n)
         grid = SlabGrid(comm, shape[::-1] if axis else shape, lengths[::-1] if axis else lengths)
         x = (coordinates(grid)[axis] + np.zeros(grid.local_shape) + 0.5 / n + 0.5) % 1.0 - 0.5
-        solution = solve_hard_wall(
-            ContactProblem(grid, np.cos(2 * np.pi * x), elastic(MODULUS), HardWall(), mean), 1e-13
-        )
+        solution = solve_hard_wall(under_hard_wall(grid, np.cos(2 * np.pi * x), mean, elastic(MODULUS)), 1e-13)
         expected, pressure = whole(grid, theory.pressure(x, mean)), whole(grid, solution.pressure)
         assert np.linalg.norm(pressure - expected) <= 2e-3 * np.linalg.norm(expected)
         assert abs(solution.mean_gap - theory.mean_gap(mean)) <= 16e-6  # second order: 1e-6 at 1024
@@ -82,7 +79,7 @@ def test_contact_conditions_on_stretched_pixels(stretched):
     gap by the stiffness, this sum by the pressure, and it takes the lowest gap for the level; 1.02 was measured."""
     grid, heights = stretched
     tolerance, mean = 1e-20, 0.01
-    found = solve_hard_wall(ContactProblem(grid, heights, elastic(MODULUS), HardWall(), mean), tolerance)
+    found = solve_hard_wall(under_hard_wall(grid, heights, mean, elastic(MODULUS)), tolerance)
     pressure, heights = whole(grid, found.pressure), whole(grid, heights)
     gap, displacement = gap_of(pressure, heights, grid.lengths)
     energy = np.mean(pressure * displacement) / 2

@@ -2,13 +2,11 @@
 
 import numpy as np
 import pytest
+from contacts import elastic, under_hard_wall
 from reference import Contact, Solid
-from solids import elastic
 
 import pgfmd
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.physics.laws.hard import HardWall
-from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.homogeneous import Layered
 from pgfmd.solvers.active_set import contact_from_coarse, particle_mesh
 from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
@@ -34,7 +32,7 @@ def test_sets_do_not_cycle(comm, monkeypatch, seed):
         base = 10 ** random.uniform(-4, -1)
         solid = Layered(contact_modulus=1.0, poisson=0.3, thickness=thickness, base_modulus=base, base_poisson=0.2)
     heights = self_affine(grid, 0.8, 4.0, 0.1, seed)
-    problem = ContactProblem(grid, heights, solid, HardWall(), 10 ** random.uniform(-4.5, -2))
+    problem = under_hard_wall(grid, heights, 10 ** random.uniform(-4.5, -2), solid)
     found = solve_hard_wall(problem, 1e-8)
     assert found.certified_error <= 1e-8
     assert found.transforms < 200
@@ -50,7 +48,7 @@ def test_the_pressure_is_that_of_a_dense_solution(comm, monkeypatch, seed, mesh)
     heights = np.random.default_rng(seed).standard_normal((12, 10))
     grid, contact = SlabGrid(comm, heights.shape), Contact(heights, (1.0, 1.0), Solid(1.0, 0.6, "free"))
     load = contact.full_stress * 0.05 * (1 + seed)
-    problem = ContactProblem(grid, heights[grid.rows].copy(), elastic(1.0, 0.6, "free"), HardWall(), float(load))
+    problem = under_hard_wall(grid, heights[grid.rows].copy(), float(load), elastic(1.0, 0.6, "free"))
     found = solve_hard_wall(problem, 1e-10)
     exact = contact.hard(found.mean_pressure)
     assert exact.error_of(grid.fetch(found.pressure, 0, grid.shape[0])) <= found.certified_error <= 1e-10
@@ -64,7 +62,7 @@ def test_a_mesh_saves_transforms(comm, thickness, area):
     grid, solid = SlabGrid(comm, (256, 256)), elastic(1.0, thickness * 256, "free")
     heights = self_affine(grid, 0.8, 16.0, 0.1, 1)
     stress = grid.backward(grid.forward(heights) * solid.stiffness(np.sqrt(grid.q_squared()))).std()
-    found = solve_hard_wall(ContactProblem(grid, heights, solid, HardWall(), stress * area), 1e-8)
+    found = solve_hard_wall(under_hard_wall(grid, heights, stress * area, solid), 1e-8)
     assert 0.5 * area < np.mean(found.pressure > 0) < 2 * area and found.certified_error <= 1e-8
     assert found.transforms <= 30
 
@@ -81,7 +79,7 @@ def test_searches_end_there_too(comm, control):
 
     top = grid.reduction.max(heights)
     target = {"contact_area": 0.1, "mean_gap": 0.5 * top, "displacement": 0.6 * top}[control]
-    problem = ContactProblem(grid, heights, elastic(1.0, 3.2, "free"), HardWall())
+    problem = under_hard_wall(grid, heights, solid=elastic(1.0, 3.2, "free"))
     control = LoadControl(Load(**{control: [target]}), problem, 1e-8, solve)
     assert control.control.error(control.solution(target), target) <= 1
     assert len(solves) == 1
