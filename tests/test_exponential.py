@@ -87,15 +87,17 @@ def test_the_displacement_belongs_to_the_pressure(rough):
 
 
 def test_thin_walls_tend_to_the_hard_one(rough):
-    """As ζ → 0 pressures tend to those of the hard wall; halving ζ brings them nearer."""
+    """As ζ → 0 pressures tend to those of the hard wall, nearer each time, and so does the contact area from above: a
+    soft wall adds a rim, whose width falls with ζ; within the 1 % of points that bear little there."""
     grid, heights = rough
-    hard = solve_hard_wall(under_hard_wall(grid, heights, 0.01, SOLID), 1e-12).pressure
-    apart = [
-        norm(grid, solve(grid, heights, 0.01, zeta, tolerance=1e-9).pressure - hard)
-        for zeta in (4e-3, 2e-3, 1e-3, 1e-4)
-    ]
+    hard = solve_hard_wall(under_hard_wall(grid, heights, 0.01, SOLID), 1e-12)
+    soft = [solve(grid, heights, 0.01, zeta, tolerance=1e-9) for zeta in (1e-2, 4e-3, 3e-3, 2e-3, 1e-3, 1e-4)]
+    apart = [norm(grid, found.pressure - hard.pressure) for found in soft]
     assert apart == sorted(apart, reverse=True)
-    assert apart[-1] < 0.02 * norm(grid, hard)
+    assert apart[-1] < 0.02 * norm(grid, hard.pressure)
+    area, *areas = (grid.reduction.sum(found.pressure_in_contact() > 0) / grid.size for found in (hard, *soft))
+    assert areas == sorted(areas, reverse=True)
+    assert abs(areas[-1] / area - 1) <= 0.01
 
 
 @pytest.mark.parametrize("method", [solve_exponential_wall, solve_gfmd])
@@ -189,16 +191,6 @@ def test_few_transforms_are_enough(comm):
         assert norm(grid, found.pressure - exact.pressure) <= 1e-6 * norm(grid, exact.pressure)
 
 
-def test_contact_tends_to_that_of_the_hard_wall(rough):
-    """As ζ → 0 its area, with a rim that narrows, tends to the hard wall's from above, within 1 % of weak points."""
-    grid, heights = rough
-    hard = solve_hard_wall(under_hard_wall(grid, heights, 0.01, SOLID), 1e-9)
-    solutions = [hard, *(solve(grid, heights, 0.01, zeta, tolerance=1e-9) for zeta in (1e-4, 1e-3, 3e-3, 1e-2))]
-    area, *areas = (grid.reduction.sum(found.pressure_in_contact() > 0) / grid.size for found in solutions)
-    assert areas == sorted(areas)
-    assert abs(areas[0] / area - 1) <= 0.01
-
-
 def test_logarithm_and_exponential_are_right_to_rounding():
     """Within 1 and 2 units of the last place of those of the C library, which are off by up to one themselves."""
     x = np.concatenate([np.geomspace(3e-308, 1e308, 20011), 1 + np.linspace(-0.5, 1, 20011)])
@@ -222,14 +214,11 @@ ONE_SEED = "k = 4–7 comes out 15–18 % low: 0.288(9) over 16 seeds, which sca
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    ("zeta", "expected"),
-    [
-        (0.25, (0.95, 1.21, 1.86)),
-        (1.0, (1.24, 1.24, 1.38)),
-        pytest.param(0.05, (0.34, 0.34, 0.56), marks=pytest.mark.xfail(reason=ONE_SEED)),
-    ],
-)
+@pytest.mark.parametrize(("zeta", "expected"), [
+    (0.25, (0.95, 1.21, 1.86)),
+    (1.0, (1.24, 1.24, 1.38)),
+    pytest.param(0.05, (0.34, 0.34, 0.56), marks=pytest.mark.xfail(reason=ONE_SEED)),
+])  # fmt: skip
 def test_the_spectrum_of_figure_8(comm, zeta, expected):
     """C̃_σ/(G₁² full) by shells of q, in octaves, mean of 4 seeds at 1024²: within 15 % of an independent solver's."""
     grid = SlabGrid(comm, (1024, 1024))

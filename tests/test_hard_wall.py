@@ -56,18 +56,11 @@ def westergaard(comm, n, load=0.5):
 
 
 def test_westergaard(comm):
-    """At f = 0.5, n = 1024: L2(p) ≤ 5e-4, mean gap ≤ 1e-6 Δ, half-width within a pixel."""
-    _, l2, _, gap, energy, width = westergaard(comm, 1024)
-    assert l2 <= 5e-4
-    assert gap <= 1e-6
-    assert energy <= 1e-6
-    assert width <= 1
-
-
-def test_westergaard_converges_in_the_known_orders(comm):
-    """Orders in the grid spacing: L1(p) 3/2, L2 1, L∞ 1/2, mean gap 2, from n = 128 to 1024, where the edge keeps its
-    place between two points; to 0.1, for the terms beyond the leading one."""
+    """At f = .5, n = 1024: L2(p) ≤ 5e-4, mean gap and energy ≤ 1e-6, half-width in a pixel.  Orders from n = 128 on,
+    where the edge keeps its place between two points: L1 3/2, L2 1, L∞ 1/2, mean gap 2; to .1, for further terms."""
     coarse, fine = westergaard(comm, 128), westergaard(comm, 1024)
+    _, l2, _, gap, energy, width = fine
+    assert l2 <= 5e-4 and gap <= 1e-6 and energy <= 1e-6 and width <= 1
     orders = np.log(coarse / fine)[:4] / np.log(8)
     assert np.allclose(orders, [1.5, 1.0, 0.5, 2.0], atol=0.1)
 
@@ -101,7 +94,7 @@ def test_periodic_hertz(comm):
 
 
 def test_full_contact_is_exact(comm):
-    """Above the largest tension, p = p̄ + F⁻¹[(E'q/2) h̃], to 1e-10."""
+    """Above the largest tension, p = p̄ + F⁻¹[(E'q/2) h̃], to 1e-10.  Just below it there is a gap, and a certificate."""
     grid = SlabGrid(comm, (96, 80))
     heights = self_affine(grid, 0.8, 8.0, 0.031, 1)
     response = grid.backward(grid.forward(heights) * MODULUS / 2 * np.sqrt(grid.q_squared()))
@@ -110,19 +103,8 @@ def test_full_contact_is_exact(comm):
     assert grid.reduction.max(np.abs(found.pressure - mean - response)) < 1e-10 * mean
     assert (found.iterations, found.mean_gap) == (0, 0.0)
     assert 0 < found.certified_error < 1e-28  # what the digits of a double may amount to
-
-
-def test_just_below_full_contact(comm):
-    """A load just below it leaves a gap somewhere, and is certified all the same."""
-    grid = SlabGrid(comm, (96, 80))
-    heights = self_affine(grid, 0.8, 8.0, 0.031, 1)
-    response = grid.backward(grid.forward(heights) * MODULUS / 2 * np.sqrt(grid.q_squared()))
-    found = solve_hard_wall(
-        under_hard_wall(grid, heights, -0.97 * grid.reduction.min(response), elastic(MODULUS)), 1e-10
-    )
-    open_points = grid.reduction.sum(found.gap > 0)
-    assert 0 < open_points < 100
-    assert found.certified_error <= 1e-10
+    below = solve_hard_wall(under_hard_wall(grid, heights, 0.97 / 1.01 * mean, elastic(MODULUS)), 1e-10)
+    assert 0 < grid.reduction.sum(below.gap > 0) < 100 and below.certified_error <= 1e-10
 
 
 def test_zero_load_and_flat_surface(comm):
@@ -219,49 +201,18 @@ def test_rounding_is_counted(solid):
             assert grid.size < 5000 or lost > solver.rounding_bound(state, np.float32) / 64
 
 
-def lightly_loaded(grid):
-    """Surfaces of one summit, of many, of white noise, and of two that are equally high."""
-    x, y = coordinates(grid)
-    yield self_affine(grid, 0.8, 4.0, 0.1, 1)
-    yield -((x - 7) ** 2 + (y - 9) ** 2) / 50
-    yield np.random.default_rng(2).standard_normal(grid.shape)[grid.rows]
-    yield np.where((x == 3) & (y == 4) | (x == 20) & (y == 21), 1.0, 0.0)
-
-
-@pytest.mark.mpi("breadth")
-@pytest.mark.parametrize("thickness", [np.inf, 2.0])
-@pytest.mark.parametrize("load", [1e-100, 1e-30, 1e-12, 1e-9, 1e-7, 1e-5])
-def test_light_loads_are_certified(comm, load, thickness):
-    """Down to one pixel of contact, and beyond: the load is carried by the summit, with its energy right."""
-    grid = SlabGrid(comm, (40, 36))
-    for heights in lightly_loaded(grid):
-        found = solve_hard_wall(under_hard_wall(grid, heights, load, elastic(1.0, thickness, "bonded")), 1e-10)
-        assert 0 < found.certified_error <= 1e-10
-        assert grid.reduction.sum(found.pressure) == pytest.approx(load * grid.size, rel=1e-12, abs=0)
-        assert 0 < found.elastic_energy < np.inf
-        if load <= 1e-30:
-            highest = grid.reduction.max(heights)
-            assert np.array_equal(found.pressure > 0, heights == highest)
-            assert found.mean_gap == pytest.approx(highest - grid.reduction.sum(heights) / grid.size, rel=1e-12, abs=0)
-
-
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-8, 1e-12, 1e-20])
 def test_tolerance_is_met(comm, tolerance):
     """The certified error is at most the tolerance, down to 1e-20: no stagnation in single precision."""
     grid = SlabGrid(comm, (128, 128))
-    heights = self_affine(grid, 0.3, 1.0, 0.031, 1)
-    assert (
-        solve_hard_wall(
-            under_hard_wall(grid, heights, 0.003, elastic(MODULUS)), tolerance
-        ).certified_error
-        <= tolerance
-    )
+    problem = under_hard_wall(grid, self_affine(grid, 0.3, 1.0, 0.031, 1), 0.003, elastic(MODULUS))
+    assert solve_hard_wall(problem, tolerance).certified_error <= tolerance
 
 
-def solved(comm, heights, load, start=None, tolerance=1e-20):
+def solved(comm, heights, load, start=None):
     """Pressure of a whole surface, to 1e-20 on the ranks of comm, so that pressures agree to 1e-9; and the solution."""
     grid = SlabGrid(comm, heights.shape)
-    found = solve_hard_wall(under_hard_wall(grid, heights[grid.rows].copy(), load), tolerance, start=start)
+    found = solve_hard_wall(under_hard_wall(grid, heights[grid.rows].copy(), load), 1e-20, start=start)
     return whole(grid, found.pressure), found
 
 
@@ -319,17 +270,11 @@ def test_pressures_or_gaps_as_unknowns(comm, monkeypatch, lambda_s):
     assert found[0].mean_gap == pytest.approx(found[1].mean_gap, rel=1e-9, abs=0)
 
 
-def test_offset_of_the_heights_does_not_matter(comm, rough):
-    """A constant added to the heights changes nothing but rounding of the heights themselves."""
-    before, after = solved(comm, rough, 0.1)[0], solved(comm, rough + 1024.0, 0.1)[0]
-    assert np.abs(before - after).max() < 1e-8 * before.max()
-
-
-@pytest.mark.parametrize("digits", [7.81, 8.0275, 8.185, 8.2825])
-def test_heights_far_from_zero(comm, rough, digits):
-    """Some 1e8 roughnesses from zero seven digits are left; with such offsets ⟨h²⟩ − ⟨h⟩² may come out negative."""
+@pytest.mark.parametrize("digits", [3.0, 7.81, 8.0275, 8.185, 8.2825])
+def test_offset_of_the_heights_does_not_matter(comm, rough, digits):
+    """It changes what rounding leaves of them: seven digits at 1e8 roughnesses, where ⟨h²⟩ − ⟨h⟩² may be negative."""
     before, after = solved(comm, rough, 0.1)[0], solved(comm, rough + 10**digits * np.std(rough), 0.1)[0]
-    assert np.abs(before - after).max() < 1e-3 * before.max()
+    assert np.abs(before - after).max() < (1e-8 if digits < 4 else 1e-3) * before.max()
 
 
 def test_a_warm_start_gives_the_same_answer(comm, rough):
@@ -340,14 +285,8 @@ def test_a_warm_start_gives_the_same_answer(comm, rough):
     assert np.abs(cold - warm).max() < 1e-8 * cold.max()
 
 
-def test_rank_count_does_not_change_the_answer(comm, rough):
-    """All ranks together agree with one rank alone to 1e-10 of the largest pressure, solved to 1e-22."""
-    together, alone = (solved(ranks, rough, 0.1, tolerance=1e-22)[0] for ranks in (comm, MPI.COMM_SELF))
-    assert np.abs(together - alone).max() < 1e-10 * alone.max()
-
-
 def test_slab_or_whole_array(comm, rough):
-    """`pgfmd.solve` takes the whole surface, or this rank's rows with a communicator, and gives the same."""
+    """`pgfmd.solve` of the whole surface on one rank, or of each rank's rows on all: the same, solved to 1e-22."""
     grid = SlabGrid(comm, rough.shape)
     alone = solve(rough, 0.1, tolerance=1e-22)
     mine = solve(rough[grid.rows].copy(), 0.1, tolerance=1e-22, comm=comm)

@@ -29,8 +29,10 @@ SLABS = broad([(base, thickness) for thickness in THICKNESSES for base in ("bond
 
 
 def surface(kind: str) -> np.ndarray:
-    """Heights (N, N) of a paraboloid, or a rough surface."""
+    """Heights (N, N) of a paraboloid, of two summits that are equally high, or a rough surface."""
     x = np.arange(N) - N / 2
+    if kind == "two summits":
+        return 1.0 * np.isin(np.arange(N * N), (3 * N + 4, 8 * N + 9)).reshape(N, N)
     if kind == "paraboloid":
         return -(x[:, None] ** 2 + x**2) / 20
     return np.random.default_rng(4).standard_normal((N, N))
@@ -53,7 +55,10 @@ def check(comm, heights, tolerance, **solid):
         pressure = float(load * contact.full_stress)
         found, exact = whole(comm, heights, pressure, tolerance=tolerance, **solid), contact.hard(pressure)
         error = float(exact.error_of(found.pressure))
-        assert error <= found.certified_error + 1e-30 and found.certified_error <= tolerance, (load, error, found)
+        assert error <= found.certified_error + 1e-30 and 0 < found.certified_error <= tolerance, (load, error, found)
+        assert found.pressure.mean() == pytest.approx(pressure, rel=1e-12, abs=0)
+        if load <= 1e-30:
+            assert np.array_equal(found.pressure > 0, heights == heights.max())
         room = 3 * math.sqrt(tolerance)
         assert found.elastic_energy == pytest.approx(float(exact.work / 2), rel=room, abs=0)
         assert np.abs(found.gap.ravel() - exact.gap).max() <= room * exact.unit * math.sqrt(
@@ -61,7 +66,7 @@ def check(comm, heights, tolerance, **solid):
         ) + 1e-13 * np.ptp(heights)
 
 
-@pytest.mark.parametrize("kind", ["paraboloid", "rough"])
+@pytest.mark.parametrize("kind", ["paraboloid", "two summits", "rough"])
 def test_any_load_is_certified(comm, kind):
     """On a half-space, to 1e-10."""
     check(comm, surface(kind), 1e-10)
