@@ -100,11 +100,17 @@ def whole(grid, field):
     return grid.fetch(field, 0, grid.shape[0])
 
 
+def once(comm, action, *arguments, **keywords) -> None:
+    """Rank 0 calls action(*arguments, **keywords), after all ranks have come and before any goes on.  Collective."""
+    comm.Barrier()
+    if comm.rank == 0:
+        action(*arguments, **keywords)
+    comm.Barrier()
+
+
 def saved(comm, path: Path, write) -> Path:
     """The path of a file that rank 0 has made by write(path).  Collective."""
-    if comm.rank == 0:
-        write(path)
-    comm.Barrier()
+    once(comm, write, path)
     return path
 
 

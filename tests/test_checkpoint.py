@@ -10,6 +10,7 @@ import subprocess
 import h5py
 import numpy as np
 import pytest
+from conftest import once
 from job_texts import SOLID
 from mpi4py import MPI
 
@@ -81,9 +82,7 @@ def test_damage_is_recognised(comm, shared_tmp_path, caplog):
     at = whole.index(FIELD[5].tobytes())
     changed = [whole[: at + 6] + bytes([whole[at + 6] ^ 64]) + whole[at + 7 :], whole[:20] + b"x" + whole[21:]]
     for damaged in (*changed, *(whole[:length] for length in range(0, len(whole) - 1, 499)), b"no file of HDF5"):
-        if comm.rank == 0:
-            mine.path.write_bytes(damaged)
-        comm.Barrier()
+        once(comm, mine.path.write_bytes, damaged)
         caplog.clear()
         assert mine.load(0) is None
         assert comm.rank > 0 or "it is not used" in caplog.text
@@ -123,15 +122,10 @@ def written(comm, folder):
     return lambda: output.ResultWriter(comm, folder, *parts, "restart")
 
 
-@pytest.mark.parametrize(
-    ("name", "pending", "height"),
-    [
-        ("fields/load_0000.h5", [0, 2], True),
-        ("fields/load_0001.h5", [1, 2], True),
-        ("fields/height.h5", [2], False),
-        ("fields.h5", [2], True),
-    ],
-)
+@pytest.mark.parametrize(("name", "pending", "height"), [
+    ("fields/load_0000.h5", [0, 2], True), ("fields/load_0001.h5", [1, 2], True), ("fields/height.h5", [2], False),
+    ("fields.h5", [2], True),
+])  # fmt: skip
 @pytest.mark.parametrize("how", ["flipped", *(pytest.param(how, marks=pytest.mark.mpi("breadth"))
                                              for how in ("cut short", "missing"))])  # fmt: skip
 def test_damaged_results_are_made_again(comm, shared_tmp_path, name, pending, height, how):
@@ -246,9 +240,7 @@ def test_only_the_same_run_is_continued(comm, shared_tmp_path, monkeypatch, what
     """--restart refuses other input files, another load or version by name, on all ranks, and changes no byte."""
     heights, folder = shared_tmp_path / "heights.npy", shared_tmp_path / "out"
     surface = np.cos(2 * np.pi * np.arange(16) / 16)[:, None] * np.ones(16)
-    if comm.rank == 0:
-        np.save(heights, surface)
-    comm.Barrier()
+    once(comm, np.save, heights, surface)
     job = parse(FILE_JOB.format(path=heights))
     simulate(job, comm, folder)
     comm.Barrier()

@@ -9,6 +9,7 @@ from decimal import Decimal, localcontext
 import numpy as np
 import pytest
 import reference
+from conftest import once
 from contacts import elastic, under_hard_wall
 
 import pgfmd
@@ -135,17 +136,11 @@ def test_the_stiffness_of_long_waves_has_a_limit(base, poisson):
     assert elastic(2.0).mean_stiffness(periodic=False) == 0
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"contact_modulus": 0.0},
-        {"contact_modulus": math.nan},
-        {"contact_modulus": 1.0, "thickness": 0.0},
-        {"contact_modulus": 1.0, "base": "glued"},
-        {"contact_modulus": 1.0, "poisson": 0.5},
-        {"contact_modulus": 1.0, "poisson": -1.0},
-    ],
-)
+@pytest.mark.parametrize("wrong", [
+    {"contact_modulus": 0.0}, {"contact_modulus": math.nan}, {"contact_modulus": 1.0, "thickness": 0.0},
+    {"contact_modulus": 1.0, "base": "glued"}, {"contact_modulus": 1.0, "poisson": 0.5},
+    {"contact_modulus": 1.0, "poisson": -1.0},
+])  # fmt: skip
 def test_solids_that_cannot_be_are_refused(wrong):
     """Moduli, thickness, base and Poisson's ratio outside their range."""
     with pytest.raises(InputError, match="must"):
@@ -279,9 +274,7 @@ solid = {kind = "table", path = "factor.csv", contact_modulus = 2.0}
 
 def tabulated(comm, path, q: np.ndarray, factor: np.ndarray) -> Graded:
     """The table, written by rank 0, as a solid of contact modulus 2."""
-    if comm.rank == 0:
-        np.savetxt(path, np.column_stack([q, factor]), delimiter=",", fmt="%.17g", header="q, F")
-    comm.Barrier()
+    once(comm, np.savetxt, path, np.column_stack([q, factor]), delimiter=",", fmt="%.17g", header="q, F")
     return Graded(path=str(path), contact_modulus=2.0)
 
 
@@ -341,14 +334,11 @@ def test_beyond_its_ends_it_is_a_half_space(comm, tmp_path, caplog):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize(
-    ("lines", "words"),
-    [
-        ("1, 1\n2, 0\n", "all q and F(q) must be > 0"), ("1, 1\n2, -1\n", "> 0"), ("0, 1\n2, 1\n", "> 0"),
-        ("2, 1\n1, 1\n", "larger than the one before"), ("1, 1\n1, 1\n", "larger"), ("1, nan\n2, 1\n", "finite"),
-        ("1, 1\n", "at least two lines"), ("1 2 3\n1 2 3\n", "two columns"), ("words\n", "two columns"), (None, "read"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("lines", "words"), [
+    ("1, 1\n2, 0\n", "all q and F(q) must be > 0"), ("1, 1\n2, -1\n", "> 0"), ("0, 1\n2, 1\n", "> 0"),
+    ("2, 1\n1, 1\n", "larger than the one before"), ("1, 1\n1, 1\n", "larger"), ("1, nan\n2, 1\n", "finite"),
+    ("1, 1\n", "at least two lines"), ("1 2 3\n1 2 3\n", "two columns"), ("words\n", "two columns"), (None, "read"),
+])  # fmt: skip
 def test_a_table_that_is_none_is_refused(comm, shared_tmp_path, lines, words):
     """One line that names the file, on all ranks."""
     path, rows = shared_tmp_path / "factor.csv", np.zeros((8, 8))[SlabGrid(comm, (8, 8)).rows].copy()

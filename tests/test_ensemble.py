@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import h5py
 import numpy as np
 import pytest
+from conftest import once
 
 import pgfmd
 from pgfmd.application import ensemble_run as ensembles
@@ -193,10 +194,7 @@ def test_a_restart_mends_a_complete_seed(comm, shared_tmp_path):
     before = pgfmd.run(job, folder, comm=comm).runs[1].field("pressure", 0)
     whole, damaged = folder / "seed_0003", folder / "seed_0004" / "fields" / "load_0000.h5"
     stamp = (whole / "observables.h5").stat().st_mtime_ns
-    comm.Barrier()
-    if comm.rank == 0:
-        damaged.write_bytes(damaged.read_bytes()[:3000])
-    comm.Barrier()
+    once(comm, damaged.write_bytes, damaged.read_bytes()[:3000])
     found = pgfmd.run(job, folder, comm=comm, restart=True)
     assert np.allclose(found.runs[1].field("pressure", 0), before, atol=1e-5 * before.max())
     assert (whole / "observables.h5").stat().st_mtime_ns == stamp
@@ -273,17 +271,14 @@ def test_an_ensemble_is_no_surface(comm):
         pgfmd.surface(JOB, comm)
 
 
-@pytest.mark.parametrize(
-    ("n", "seeds", "ranks", "groups"),
-    [
-        (64, "1..64", 4, 4),  # small surfaces: one rank each
-        (4096, "1..64", 4, 4),  # also large ones, as long as there are as many as ranks
-        (4096, "1..2", 4, 2),  # else ranks share a surface
-        (64, "1..2", 4, 2),
-        (4096, "1..5", 4, 1),  # 5/(.8 · 4) rounds together, 2 side by side
-        (64, "1..5", 4, 4),
-    ],
-)
+@pytest.mark.parametrize(("n", "seeds", "ranks", "groups"), [
+    (64, "1..64", 4, 4),  # small surfaces: one rank each
+    (4096, "1..64", 4, 4),  # also large ones, as long as there are as many as ranks
+    (4096, "1..2", 4, 2),  # else ranks share a surface
+    (64, "1..2", 4, 2),
+    (4096, "1..5", 4, 1),  # 5/(.8 · 4) rounds together, 2 side by side
+    (64, "1..5", 4, 4),
+])  # fmt: skip
 def test_ranks_are_shared_out_by_size(n, seeds, ranks, groups):
     """Surfaces are solved side by side; a surface is shared where that is faster, by the speed that slabs have."""
     assert Plan(parse(tables_as_toml(with_seeds(seeds, grid={"n": n})))).rank_groups(ranks) == groups

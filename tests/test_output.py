@@ -10,11 +10,13 @@ import sys
 import tomllib
 import warnings
 import zipfile
+from contextlib import contextmanager
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
+from conftest import once
 from job_texts import SOLID
 from mpi4py import MPI
 
@@ -43,13 +45,20 @@ HISTOGRAM = {
 }  # fmt: skip
 
 
-def writer(comm, folder, **options):
-    """A writer of a 13 × 6 grid."""
-    effective = job.as_toml(job.parse(JOB))
-    rows = slab(SHAPE[0], comm.size, comm.rank)
-    mode = options.pop("mode", "new")
-    origin = Origin(JOB, effective, 3)
-    return output.ResultWriter(comm, folder, origin, output.Form(SHAPE, LENGTHS, rows, groups=LAYOUT, **options), mode)
+@contextmanager
+def writer(comm, folder, mode="new", **options):
+    """A writer of a 13 × 6 grid; all ranks wait for each other before and after."""
+    comm.Barrier()
+    form = output.Form(SHAPE, LENGTHS, slab(SHAPE[0], comm.size, comm.rank), groups=LAYOUT, **options)
+    with output.ResultWriter(comm, folder, Origin(JOB, job.as_toml(job.parse(JOB)), 3), form, mode) as result:
+        yield result
+    comm.Barrier()
+
+
+def refused(comm, folder, words, mode="new"):
+    """A writer is refused in these words."""
+    with pytest.raises(InputError, match=words), writer(comm, folder, mode):
+        pass
 
 
 def write_load(result, index, factor=1.0):
@@ -174,22 +183,15 @@ def test_results_are_not_replaced_unasked(comm, shared_tmp_path):
     folder = shared_tmp_path / "out"
     with writer(comm, folder) as result:
         write_load(result, 0)
-    comm.Barrier()
-    with pytest.raises(InputError, match="holds results already.*--overwrite"):
-        writer(comm, folder)
+    refused(comm, folder, "holds results already.*--overwrite")
     with writer(comm, folder, mode="overwrite"):
         pass
-    comm.Barrier()
     np.testing.assert_array_equal(Results(folder).field("pressure", 0), FIELD)
-    comm.Barrier()
     with writer(comm, folder, mode="overwrite") as result:
         result.write_heights(-FIELD[result.form.rows])
-    comm.Barrier()
     np.testing.assert_array_equal(Results(folder).field("pressure", 0), FIELD)
-    comm.Barrier()
     with writer(comm, folder, mode="overwrite") as result:
         write_load(result, 0, 2.0)
-    comm.Barrier()
     np.testing.assert_array_equal(Results(folder).field("pressure", 0), 2 * FIELD)
     with h5py.File(folder / "fields.h5") as file:
         np.testing.assert_array_equal(file["load_0000/pressure"][:], 2 * FIELD)
@@ -202,7 +204,6 @@ def test_restart_continues(comm, shared_tmp_path):
     folder = shared_tmp_path / "out"
     with writer(comm, folder) as result:
         write_load(result, 0)
-    comm.Barrier()
     with writer(comm, folder, mode="restart") as result:
         assert result.completed == 1 and job.parse(result.earlier.job) == job.parse(JOB)
         write_load(result, 1, 2.0)
@@ -211,7 +212,6 @@ def test_restart_continues(comm, shared_tmp_path):
     assert len(read) == 2 and read.status == "complete"
     np.testing.assert_array_equal(read.field("pressure", 0), FIELD)
     np.testing.assert_array_equal(read.field("pressure", 1), 2 * FIELD)
-    comm.Barrier()
     with writer(comm, shared_tmp_path / "empty", mode="restart") as result:
         assert result.completed == 0 and result.earlier.job is None
 
@@ -221,9 +221,7 @@ def test_a_load_that_was_left_out_is_pending(comm, shared_tmp_path):
     folder = shared_tmp_path / "out"
     with writer(comm, folder) as result:
         write_load(result, 1)
-    comm.Barrier()
     assert Results(folder).fields(0) == [] and Results(folder).fields(1) == ["gap", "pressure"]
-    comm.Barrier()
     with writer(comm, folder, mode="restart") as result:
         assert result.pending == [0, 2]
         write_load(result, 0)
@@ -233,10 +231,8 @@ def test_a_load_that_was_left_out_is_pending(comm, shared_tmp_path):
 def test_two_runs_in_one_folder_are_refused(comm, shared_tmp_path):
     """While a run holds its folder, another one is refused, with who holds it; afterwards it is not."""
     with writer(comm, shared_tmp_path / "out"):
-        with pytest.raises(InputError, match="another run writes here"):
-            writer(comm, shared_tmp_path / "out", mode="overwrite")
+        refused(comm, shared_tmp_path / "out", "another run writes here", mode="overwrite")
         comm.Barrier()
-    comm.Barrier()
     with writer(comm, shared_tmp_path / "out", mode="overwrite"):
         pass
 
@@ -248,21 +244,16 @@ def test_lock_dies_with_its_process(comm, shared_tmp_path):
         code = f"import os; from pgfmd.application import files; files.OutputFolder({name!r}); os._exit(9)"
         assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 9
         assert (shared_tmp_path / "o" / files.LOCK_NAME).exists()
-    comm.Barrier()
     with writer(comm, shared_tmp_path / "o"):
         pass
-    comm.Barrier()
     assert not (shared_tmp_path / "o" / files.LOCK_NAME).exists()
 
 
 @pytest.mark.parametrize("place", ["file/out", "file", "/proc/pgfmd", "nul\0"], ids=ascii)
 def test_unwritable_folder_is_refused_on_all_ranks(comm, shared_tmp_path, place):
     """A folder that cannot be made is a wrong input, on all ranks together, before anything is computed."""
-    if comm.rank == 0:
-        (shared_tmp_path / "file").write_text("not a folder")
-    comm.Barrier()
-    with pytest.raises(InputError, match="cannot be written as an output folder"):
-        writer(comm, shared_tmp_path / place)
+    once(comm, (shared_tmp_path / "file").write_text, "not a folder")
+    refused(comm, shared_tmp_path / place, "cannot be written as an output folder")
     assert [path.name for path in shared_tmp_path.iterdir()] == ["file"]
 
 
@@ -306,13 +297,10 @@ def test_failure_keeps_completed_loads(comm, shared_tmp_path, transport, monkeyp
     assert sorted(path.name for path in (folder / "fields").iterdir()) == ["load_0000.h5"]
 
 
-@pytest.mark.parametrize(
-    ("kind", "step"),
-    [
-        (files.Sums, "forget"), (files, "reserve"), (files, "commit"), (FieldFiles, "write_views"),
-        (ObservablesFile, "change"), (files.Sums, "note"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("kind", "step"), [
+    (files.Sums, "forget"), (files, "reserve"), (files, "commit"), (FieldFiles, "write_views"),
+    (ObservablesFile, "change"), (files.Sums, "note"),
+])  # fmt: skip
 def test_a_folder_lost_at_any_step_is_named(comm, shared_tmp_path, monkeypatch, kind, step):
     """Moved away before any step of a load: an OSError on all ranks names it; nothing is made where it was."""
     folder, original = shared_tmp_path / "out", getattr(kind, step)
@@ -424,7 +412,6 @@ def test_broken_off_run_reads_as_interrupted(comm, shared_tmp_path):
         write_load(result, 0)
         assert Results(shared_tmp_path / "out").status == "running"
         comm.Barrier()
-    comm.Barrier()
     assert Results(shared_tmp_path / "out").status == "interrupted"
     assert "1 of 3 completed" in summary(Results(shared_tmp_path / "out"))
 
@@ -503,11 +490,9 @@ def test_format_1_is_read(comm, shared_tmp_path):
 def test_format_1_is_not_continued(comm, shared_tmp_path):
     """Loads of two versions in one folder would be a mixture: that is refused; such results may be replaced."""
     unpack(comm, 1, shared_tmp_path)
-    with pytest.raises(InputError, match="cannot be continued: it was written by pgfmd"):
-        writer(comm, shared_tmp_path, mode="restart")
+    refused(comm, shared_tmp_path, "cannot be continued: it was written by pgfmd", mode="restart")
     with writer(comm, shared_tmp_path, mode="overwrite") as result:
         write_load(result, 0)
-    comm.Barrier()
     np.testing.assert_array_equal(Results(shared_tmp_path).field("pressure", 0), FIELD)
 
 
@@ -526,12 +511,6 @@ def test_format_2_is_read(comm, shared_tmp_path):
     assert np.isnan(results.loads["mean_gap"]).all() and np.isfinite(results.loads["displacement"]).all()
     assert np.isnan(load["gap_histogram"]["density"]).all() and np.isnan(load["gap_spectrum"]["value"]).all()
     assert np.isfinite(load["pressure_histogram"]["density"]).all()
-
-
-def test_reading_needs_no_mpi():
-    """The reader runs on a laptop without mpi4py."""
-    code = "import sys, pgfmd.application.results; sys.exit('mpi4py' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_large_groups_have_files_of_their_own(comm, shared_tmp_path, monkeypatch):
@@ -560,20 +539,13 @@ def test_large_groups_have_files_of_their_own(comm, shared_tmp_path, monkeypatch
     with open(path, "rb") as held:
         fcntl.flock(held, fcntl.LOCK_SH)  # as another reader, which HDF5's locks would refuse
         assert len(Results(folder)[1]["pressure_histogram"]["center"]) == 9999 and path not in damage(Results(folder))
-    comm.Barrier()
-    if comm.rank == 0:
-        path.write_bytes(path.read_bytes()[:1000])
-    comm.Barrier()
+    once(comm, path.write_bytes, path.read_bytes()[:1000])
     assert path in damage(Results(folder))
-    comm.Barrier()
     with writer(comm, folder, mode="restart") as result:
         assert result.pending == [1, 2]
         write(result, 1)
     np.testing.assert_array_equal(Results(folder)[1]["pressure_histogram"]["edges"], np.arange(1e4))
-    comm.Barrier()
-    if comm.rank == 0:
-        path.unlink()
-    comm.Barrier()
+    once(comm, path.unlink)
     assert list(Results(folder)[1]) == ["pressure_histogram"] and "pressure_histogram" in Results(folder)[1]
     with pytest.raises(InputError, match="load_0001_pressure_histogram.h5: cannot be read: .*No such file"):
         Results(folder)[1]["pressure_histogram"]

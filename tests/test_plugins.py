@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from conftest import once
 
 import pgfmd
 from pgfmd import plugins
@@ -144,10 +145,7 @@ def test_a_run_and_its_continuation(comm, job, shared_tmp_path):
     np.testing.assert_allclose(results.field("pressure", 0), twin().pressure, atol=1e-5)
     for index in range(2):
         assert results.loads["peak"][index] == results.field("pressure", index).max()
-    comm.Barrier()
-    if comm.rank == 0:
-        (shared_tmp_path / "mine.py").write_text(PLUGIN + "\n# another version\n")
-    comm.Barrier()
+    once(comm, (shared_tmp_path / "mine.py").write_text, PLUGIN + "\n# another version\n")
     with pytest.raises(InputError, match="the content of .*mine.py has changed since"):
         simulate(job_of(), comm, folder, restart=True)
 
@@ -186,17 +184,14 @@ def test_other_ranks_need_no_file(job, shared_tmp_path):
     assert run.stdout == text, run.stderr
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        (None, "mine.py: cannot be read: No such file"),
-        ("x = 1\ny = x / 0\n", "mine.py:2: ZeroDivisionError"),
-        ("def x(:\n", "mine.py:1: SyntaxError"),
-        ("x = 1\n", "defines no ContactLaw, Solid, Surface or Observable"),
-        (PLUGIN.replace('kind = "soft"', 'kind = "hard"'), '"hard" is the name of HardWall in pgfmd'),
-        (PLUGIN.replace('kind = "egg"', 'kind = ""'), "Egg: needs a kind"),
-    ],
-)
+@pytest.mark.parametrize(("text", "words"), [
+    (None, "mine.py: cannot be read: No such file"),
+    ("x = 1\ny = x / 0\n", "mine.py:2: ZeroDivisionError"),
+    ("def x(:\n", "mine.py:1: SyntaxError"),
+    ("x = 1\n", "defines no ContactLaw, Solid, Surface or Observable"),
+    (PLUGIN.replace('kind = "soft"', 'kind = "hard"'), '"hard" is the name of HardWall in pgfmd'),
+    (PLUGIN.replace('kind = "egg"', 'kind = ""'), "Egg: needs a kind"),
+])  # fmt: skip
 def test_wrong_plugins(job, shared_tmp_path, text, words):
     """One line that names the file, its line and what is wrong."""
     path = shared_tmp_path / "mine.py"
@@ -249,16 +244,13 @@ def _no_residual(self, pressure, gap, residual, compliance, level):
     return excess
 
 
-@pytest.mark.parametrize(
-    ("changed", "words"),
-    [
-        ({}, ""),
-        ({"in_units": lambda self, units: _in_units(self, units, 2.0)}, "respond"),
-        ({"excess": _half_the_excess}, "excess: .* less"),
-        ({"excess": _no_residual}, "excess: the residual"),
-        ({"releases": True}, "releases: True is for laws of reach 0"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("changed", "words"), [
+    ({}, ""),
+    ({"in_units": lambda self, units: _in_units(self, units, 2.0)}, "respond"),
+    ({"excess": _half_the_excess}, "excess: .* less"),
+    ({"excess": _no_residual}, "excess: the residual"),
+    ({"releases": True}, "releases: True is for laws of reach 0"),
+])  # fmt: skip
 def test_a_law_that_contradicts_itself_is_refused(changed, words):
     """Units, answers, excess and contact lines of a user's law are compared with its gaps."""
     heights, law = np.diag([0.1, 0.0, 0.0, 0.0]), _wrong(**changed)

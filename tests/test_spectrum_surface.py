@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from conftest import once
 from job_texts import SOLID
 from mpi4py import MPI
 
@@ -23,9 +24,7 @@ BENT = np.array([[0.1, 3.0], [0.2, 0.5], [1.0, 0.6], [2.5, 1e-4]])  # C that fal
 
 
 def saved(comm, path, table):
-    if comm.rank == 0:
-        np.save(path, table) if path.suffix == ".npy" else np.savetxt(path, table, delimiter=", ")
-    comm.Barrier()
+    once(comm, *(np.save, path, table) if path.suffix == ".npy" else (np.savetxt, path, table, "%.18e", ", "))
     return str(path)
 
 
@@ -150,9 +149,7 @@ WRONG = {
 def test_tables_that_are_none(comm, shared_tmp_path, content):
     """Each is refused on all ranks with what is wrong with it."""
     path = shared_tmp_path / "c.txt"
-    if comm.rank == 0:
-        path.write_text(content)
-    comm.Barrier()
+    once(comm, path.write_text, content)
     with pytest.raises(InputError, match=WRONG[content]) as caught:
         FromSpectrum(path=str(path)).heights(SlabGrid(comm, (8, 8)))
     assert "\n" not in str(caught.value)
@@ -193,7 +190,5 @@ def test_rank_0_alone_reads_the_table(comm, shared_tmp_path, monkeypatch):
 def test_a_csv_may_begin_with_words(comm, shared_tmp_path):
     """Names of the columns, as spreadsheets write them, are passed over."""
     path = shared_tmp_path / "c.csv"
-    if comm.rank == 0:
-        path.write_text("wave number,C\nrad/m,m4\n" + "\n".join(f"{q},{c}" for q, c in BENT))
-    comm.Barrier()
+    once(comm, path.write_text, "wave number,C\nrad/m,m4\n" + "\n".join(f"{q},{c}" for q, c in BENT))
     assert np.array_equal(np.stack(FromSpectrum(path=str(path)).table(), axis=1), BENT)

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import launching
 import pytest
-from conftest import broad, starts_mpirun
+from conftest import broad, once, starts_mpirun
 
 from pgfmd.application import stop
 from pgfmd.application.results import Results
@@ -111,10 +111,7 @@ def test_stop_files(comm, shared_tmp_path):
                 path.touch()
             with pytest.raises(Stopped, match=path.name):
                 run.between_steps()
-            comm.Barrier()
-            if comm.rank == 0:
-                os.utime(stop, (1, 1))
-            comm.Barrier()
+            once(comm, os.utime, stop, (1, 1))
     assert stop.read_text() == "not yours"
 
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from conftest import ROOT, whole
+from conftest import ROOT, once, whole
 from contacts import elastic, under_hard_wall
 from job_texts import SOLID
 from mpi4py import MPI
@@ -128,22 +128,17 @@ def test_roll_off_end_to_end(comm, shared_tmp_path):
     assert math.sqrt(np.sum(q**2 * power)) == pytest.approx(0.05, rel=1e-10, abs=0)
 
 
-@pytest.mark.parametrize(
-    "surface",
-    [
-        "kind = 'self-affine'\nhurst = 0.6\nlambda_s = 4\nrms_slope = 0.1",
-        "kind = 'sinusoid'\namplitude = 1.0",
-        "kind = 'paraboloid'\nradius = 30.0",
-        f"kind = 'file'\npath = '{ROOT}/jobs/data/measured.npy'\ndetrend = 'plane'",
-    ],
-)
+@pytest.mark.parametrize("surface", [
+    "kind = 'self-affine'\nhurst = 0.6\nlambda_s = 4\nrms_slope = 0.1",
+    "kind = 'sinusoid'\namplitude = 1.0",
+    "kind = 'paraboloid'\nradius = 30.0",
+    f"kind = 'file'\npath = '{ROOT}/jobs/data/measured.npy'\ndetrend = 'plane'",
+])  # fmt: skip
 def test_surface_of_a_job_in_a_script(comm, shared_tmp_path, surface):
     """`pgfmd.surface` gives rows of the heights that the job writes, by either transform; to 1e-14 of their range."""
     text = f"[grid]\nn = [128, 96]\n[surface]\n{surface}\n[load]\npressure = 1e-4\n[output]\nfields = ['height']\n"
     text += SOLID + "[solver]\ntolerance = 0.1\n"
-    if comm.rank == 0:
-        (shared_tmp_path / "job.toml").write_text(text)
-    comm.Barrier()
+    once(comm, (shared_tmp_path / "job.toml").write_text, text)
     simulate(job.parse(text), comm, shared_tmp_path / "out")
     expected = Results(shared_tmp_path / "out").field("height")
     rows = SlabGrid(comm, (128, 96)).rows
@@ -170,9 +165,7 @@ def test_measured_job(comm, shared_tmp_path):
     assert heights.shape == (256, 192) and np.array_equal(heights, heights[::-1, ::-1])
     if comm.size == 1:
         return
-    if comm.rank == 0:
-        run_measured(MPI.COMM_SELF, shared_tmp_path / "alone")
-    comm.Barrier()
+    once(comm, run_measured, MPI.COMM_SELF, shared_tmp_path / "alone")
     alone = Results(shared_tmp_path / "alone")
     for load in (0, 1):
         change = found.field("pressure", load=load) - alone.field("pressure", load=load)
@@ -235,15 +228,12 @@ pressure = 0.01
     assert np.array_equal(other.heights(SlabGrid(MPI.COMM_SELF, (8, 8)), None), heights)
 
 
-@pytest.mark.parametrize(
-    ("second", "message"),
-    [
-        ("ball", "surface.second = .ball.: must be a table"),
-        ({"kind": "paraboloid"}, "surface.second: surface.radius is missing"),
-        ({"kind": "paraboloid", "radius": 1.0, "second": {"kind": "cone", "slope": 1.0}}, "no second of its own"),
-        ({"kind": "self-affine", "hurst": 0.8, "lambda_s": 4.0, "rms_slope": 0.1, "seed": [1, 2]}, "one seed"),
-    ],
-)
+@pytest.mark.parametrize(("second", "message"), [
+    ("ball", "surface.second = .ball.: must be a table"),
+    ({"kind": "paraboloid"}, "surface.second: surface.radius is missing"),
+    ({"kind": "paraboloid", "radius": 1.0, "second": {"kind": "cone", "slope": 1.0}}, "no second of its own"),
+    ({"kind": "self-affine", "hurst": 0.8, "lambda_s": 4.0, "rms_slope": 0.1, "seed": [1, 2]}, "one seed"),
+])  # fmt: skip
 def test_a_wrong_second_body_is_named(second, message):
     """No table, a key that is missing, a third body, an ensemble: one line says which."""
     with pytest.raises(InputError, match=message):
@@ -278,16 +268,10 @@ def test_heights_of_a_text_travel_in_rows(comm, shared_tmp_path, monkeypatch):
     assert sent[1][1] == len(found) and (comm.rank or list(sent[0][1]) == list(np.diff(grid.starts)))
 
 
-@pytest.mark.parametrize(
-    ("shape", "lengths"),
-    [
-        ((96, 96), {}),
-        ((96, 96), {"lambda_r": 24.0}),
-        ((96, 96), {"lambda_l": 24.0}),
-        ((192, 24), {}),
-        ((64, 64), {"lambda_s": 48.0}),
-    ],
-)
+@pytest.mark.parametrize(("shape", "lengths"), [
+    ((96, 96), {}), ((96, 96), {"lambda_r": 24.0}), ((96, 96), {"lambda_l": 24.0}), ((192, 24), {}),
+    ((64, 64), {"lambda_s": 48.0}),
+])  # fmt: skip
 def test_the_height_known_beforehand_is_that_of_the_surfaces(shape, lengths):
     """Its square is within a tenth the mean square height of 200 surfaces; that of two bodies is the sum of squares."""
     options = {"hurst": 0.8, "lambda_s": 4.0, "rms_slope": 0.1} | lengths
