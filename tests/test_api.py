@@ -22,20 +22,17 @@ def mine(comm):
     return HEIGHTS[slab(len(HEIGHTS), comm.size, comm.rank)].copy()
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("tolerance", math.nan), ("tolerance", 0.0), ("tolerance", 1.0),
-        ("threads", -1), ("threads", 0), ("threads", 1.5), ("refine", 0), ("refine", 1.5),
-        ("spacing", 0.0), ("spacing", -1.0), ("spacing", math.inf), ("spacing", (1.0, math.nan)), ("spacing", "1"),
-        ("contact_modulus", 0.0), ("contact_modulus", math.inf),
-        ("thickness", 0.0), ("thickness", math.nan), ("base", "free"), ("poisson", math.nan),
-        ("zeta", 0.0), ("zeta", -1.0), ("zeta", 1e-300), ("zeta", math.inf),
-        ("zeta", 1e-200), ("method", "newton"), ("method", "fast"),
-        ("area_tolerance", math.nan), ("area_tolerance", np.ones(2)), ("gap_tolerance", 0.0), ("gap_tolerance", "1"),
-        ("pressure", -1.0), ("pressure", math.nan), ("pressure", math.inf), ("pressure", "1"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("name", "value"), [
+    ("tolerance", math.nan), ("tolerance", 0.0), ("tolerance", 1.0),
+    ("threads", -1), ("threads", 0), ("threads", 1.5), ("refine", 0), ("refine", 1.5),
+    ("spacing", 0.0), ("spacing", -1.0), ("spacing", math.inf), ("spacing", (1.0, math.nan)), ("spacing", "1"),
+    ("contact_modulus", 0.0), ("contact_modulus", math.inf),
+    ("thickness", 0.0), ("thickness", math.nan), ("base", "free"), ("poisson", math.nan),
+    ("zeta", 0.0), ("zeta", -1.0), ("zeta", 1e-300), ("zeta", math.inf),
+    ("zeta", 1e-200), ("method", "newton"), ("method", "fast"),
+    ("area_tolerance", math.nan), ("area_tolerance", np.ones(2)), ("gap_tolerance", 0.0), ("gap_tolerance", "1"),
+    ("pressure", -1.0), ("pressure", math.nan), ("pressure", math.inf), ("pressure", "1"),
+])  # fmt: skip
 def test_a_wrong_argument_is_named_in_one_line(comm, name, value):
     """InputError with the argument's name and value, and no line break."""
     arguments = {"pressure": 0.01} | {name: value}

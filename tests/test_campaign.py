@@ -67,23 +67,20 @@ SOUND = {
 }
 
 
-@pytest.mark.parametrize(
-    ("spoil", "said"),
-    [
-        (lambda answer: None, ""),
-        (lambda answer: answer.pressure.__imul__(1.01), "load is not carried"),
-        (lambda answer: answer.pressure.__setitem__((0, 0), np.nan), "not finite"),
-        (lambda answer: answer.gap.__iadd__(1.0), "gap in contact"),
-        (lambda answer: answer.gap.__imul__(1.0 + 1e-2), "gap off"),
-        (lambda answer: setattr(answer, "mean_gap", answer.mean_gap * 1.01), "mean gap off"),
-        (lambda answer: setattr(answer, "elastic_energy", answer.elastic_energy * 1.01), "elastic energy"),
-        (lambda answer: setattr(answer, "certified_error", -1e-20), "certified"),
-        (lambda answer: setattr(answer, "certified_error", 1.0), "certified"),
-        (lambda answer: setattr(answer, "contact_area", 0.5), "contact area"),
-        (lambda answer: setattr(answer, "mean_pressure", answer.mean_pressure * (1 + 1e-14)), "mean pressure"),
-        (lambda answer: answer.pressure.__setitem__(..., answer.pressure[::-1].copy()), "gap in contact|true error"),
-    ],
-)
+@pytest.mark.parametrize(("spoil", "said"), [
+    (lambda answer: None, ""),
+    (lambda answer: answer.pressure.__imul__(1.01), "load is not carried"),
+    (lambda answer: answer.pressure.__setitem__((0, 0), np.nan), "not finite"),
+    (lambda answer: answer.gap.__iadd__(1.0), "gap in contact"),
+    (lambda answer: answer.gap.__imul__(1.0 + 1e-2), "gap off"),
+    (lambda answer: setattr(answer, "mean_gap", answer.mean_gap * 1.01), "mean gap off"),
+    (lambda answer: setattr(answer, "elastic_energy", answer.elastic_energy * 1.01), "elastic energy"),
+    (lambda answer: setattr(answer, "certified_error", -1e-20), "certified"),
+    (lambda answer: setattr(answer, "certified_error", 1.0), "certified"),
+    (lambda answer: setattr(answer, "contact_area", 0.5), "contact area"),
+    (lambda answer: setattr(answer, "mean_pressure", answer.mean_pressure * (1 + 1e-14)), "mean pressure"),
+    (lambda answer: answer.pressure.__setitem__(..., answer.pressure[::-1].copy()), "gap in contact|true error"),
+])  # fmt: skip
 def test_the_judge_sees_what_is_wrong(tmp_path, monkeypatch, spoil, said):
     """An answer that is spoilt on purpose is called wrong; a sound one is not."""
     heights = np.random.default_rng(1).standard_normal((6, 5))

@@ -129,14 +129,11 @@ def test_another_scale_is_named(comm, caplog, factor):
     assert f"that are {1 / factor:.3g} times" in found.projection.doubt
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda p: -p, "mean is -"), (lambda p: 0 * p, "mean is 0"), (lambda p: p * np.nan, "finite"),
-        (lambda p: p[:, :-1], "shape"), (lambda p: p * 0 + 1, "the same everywhere"), (lambda p: p > 0, "real numbers"),
-        (lambda p: p * 1e300 * 1e10, "finite"), (lambda p: p * 1e-300, "must lie between"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("change", "message"), [
+    (lambda p: -p, "mean is -"), (lambda p: 0 * p, "mean is 0"), (lambda p: p * np.nan, "finite"),
+    (lambda p: p[:, :-1], "shape"), (lambda p: p * 0 + 1, "the same everywhere"), (lambda p: p > 0, "real numbers"),
+    (lambda p: p * 1e300 * 1e10, "finite"), (lambda p: p * 1e-300, "must lie between"),
+])  # fmt: skip
 def test_wrong_pressures_are_refused_in_one_line(comm, change, message):
     """InputError on all ranks."""
     heights, exact = solved({}, 4)
@@ -209,14 +206,11 @@ def test_the_command_line_certifies(files, capsys):
             assert found["certified_error"] <= 1e-8 and math.isclose(found["mean_pressure"], MEAN)
 
 
-@pytest.mark.parametrize(
-    ("pressure", "words"),
-    [
-        ("small.npy", "small.npy: holds 7 x 6 pressures, the heights are 8 x 6"), ("nan.npy", "not finite"),
-        ("tension.npy", "mean is -"),
-        ("scaled.npy", "1e+03 times these"), ("none.npy", "no such file"), ("results:3", "no such file"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("pressure", "words"), [
+    ("small.npy", "small.npy: holds 7 x 6 pressures, the heights are 8 x 6"), ("nan.npy", "not finite"),
+    ("tension.npy", "mean is -"),
+    ("scaled.npy", "1e+03 times these"), ("none.npy", "no such file"), ("results:3", "no such file"),
+])  # fmt: skip
 def test_wrong_files_are_refused_in_one_line(files, capsys, pressure, words):
     """Exit code 2, and one line on stderr."""
     assert cli.main(["certify", str(files / "heights.npy"), str(files / pressure), *MODULUS]) == 2

@@ -188,18 +188,14 @@ def test_check_and_info_need_no_mpi(finished, job):
         assert all(word in done.stdout for word in words)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["check", "JOB", "--set", "grid.n=0"], "grid.n = 0: must be a whole number"),
-        (["check", "JOB", "--ranks", "9"], "more ranks than the 8 rows"),
-        (["check", "JOB", "--ranks", "x"], "must be a whole number ≥ 1"),
-        (["info", "nowhere"], "nowhere: not a result folder: no such folder"),
-        (["jump"], "invalid choice"),
-        ([], "required"),
-    ],
-    ids=range(6),
-)
+@pytest.mark.parametrize(("arguments", "words"), [
+    (["check", "JOB", "--set", "grid.n=0"], "grid.n = 0: must be a whole number"),
+    (["check", "JOB", "--ranks", "9"], "more ranks than the 8 rows"),
+    (["check", "JOB", "--ranks", "x"], "must be a whole number ≥ 1"),
+    (["info", "nowhere"], "nowhere: not a result folder: no such folder"),
+    (["jump"], "invalid choice"),
+    ([], "required"),
+], ids=range(6))  # fmt: skip
 def test_wrong_input_of_check_and_info(capsys, job, arguments, words):
     """The same one line and exit code 2 without MPI."""
     assert cli.main([str(job) if word == "JOB" else word for word in arguments]) == 2

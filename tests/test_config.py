@@ -107,14 +107,10 @@ def test_cell_from_length_or_spacing():
     assert job.surface.wavelengths(job.grid) == (8.0, 32.0, 32.0)
 
 
-@pytest.mark.parametrize(
-    "given",
-    [
-        {"lame_lambda": 1.0, "lame_mu": 1.0},
-        {"young": 2.5, "poisson": 0.25},
-        {"contact_modulus": 8 / 3, "poisson": 0.25},
-    ],
-)
+@pytest.mark.parametrize("given", [
+    {"lame_lambda": 1.0, "lame_mu": 1.0}, {"young": 2.5, "poisson": 0.25},
+    {"contact_modulus": 8 / 3, "poisson": 0.25},
+])  # fmt: skip
 def test_elastic_moduli_from_each_pair(given):
     """λ = μ = 1 is E = 5/2, ν = 1/4, E' = 8/3, from whichever pair it is given (rounding only: 1e-15 relative)."""
     solid = config.Homogeneous(**given)
@@ -147,19 +143,16 @@ def test_contradicting_moduli_are_refused():
         config.Homogeneous(lame_lambda=1.0, lame_mu=1.0, contact_modulus=2.0)
 
 
-@pytest.mark.parametrize(
-    "overrides",
-    [
-        [],
-        ["wall.kind=exponential", "wall.zeta=0.25", "solver.method=newton"],
-        ["wall.zeta=0.25"],
-        ["solid.contact_modulus=3", "solid.poisson=0.1", "solid.thickness=64", "solid.base=free"],
-        [f"solid.contact_modulus={0.1 / (1 - 0.4999**2)!r}", "solid.young=0.1", "solid.poisson=0.4999"],
-        ["run.time_limit=3600", "grid.spacing=1e-7"],
-        ["surface.lambda_l=32", "surface.lambda_r=24", "output.fields=height", "output.lowpass.q=[0.5, 1]"],
-        ['output.length_unit="µ\\"\\\\\\u007f\\tm"', "output.observables=[]", "grid.n=[64, 48]"],
-    ],
-)
+@pytest.mark.parametrize("overrides", [
+    [],
+    ["wall.kind=exponential", "wall.zeta=0.25", "solver.method=newton"],
+    ["wall.zeta=0.25"],
+    ["solid.contact_modulus=3", "solid.poisson=0.1", "solid.thickness=64", "solid.base=free"],
+    [f"solid.contact_modulus={0.1 / (1 - 0.4999**2)!r}", "solid.young=0.1", "solid.poisson=0.4999"],
+    ["run.time_limit=3600", "grid.spacing=1e-7"],
+    ["surface.lambda_l=32", "surface.lambda_r=24", "output.fields=height", "output.lowpass.q=[0.5, 1]"],
+    ['output.length_unit="µ\\"\\\\\\u007f\\tm"', "output.observables=[]", "grid.n=[64, 48]"],
+])  # fmt: skip
 def test_effective_toml_round_trip(overrides):
     """The effective job, written as TOML and read again, is the same job."""
     job = config.parse(ROUGH, overrides=overrides)
@@ -228,19 +221,15 @@ def test_wrong_values_are_refused_in_one_line(override):
     assert message.startswith(("--set: ", "job.toml: "))
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("[grid]\nn = 64\nn = 65\n" + ROUGH, "not valid TOML"),
-        ("grid = 3", "grid = 3: must be a table"),
-        ("", "[grid] is missing"),
-        ("[grid]\nn = 4\n[load]\npressure=1\n[surface]\n", "surface.kind is missing: it must be one of"),
-        ("x = " + 100000 * "[", "not valid TOML"),
-        ("x = " + 5000 * "1", "not valid TOML"),
-        ('["a\\nb"]\nx = 1\n', "[a?b] is not a section"),
-    ],
-    ids=range(7),
-)
+@pytest.mark.parametrize(("text", "words"), [
+    ("[grid]\nn = 64\nn = 65\n" + ROUGH, "not valid TOML"),
+    ("grid = 3", "grid = 3: must be a table"),
+    ("", "[grid] is missing"),
+    ("[grid]\nn = 4\n[load]\npressure=1\n[surface]\n", "surface.kind is missing: it must be one of"),
+    ("x = " + 100000 * "[", "not valid TOML"),
+    ("x = " + 5000 * "1", "not valid TOML"),
+    ('["a\\nb"]\nx = 1\n', "[a?b] is not a section"),
+], ids=range(7))  # fmt: skip
 def test_wrong_files_are_refused_in_one_line(text, words):
     """A file that is no job says so in one line, whatever is in it."""
     with pytest.raises(InputError) as caught:

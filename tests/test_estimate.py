@@ -144,18 +144,15 @@ def test_time_of_sticky_contacts():
 
 @pytest.mark.breadth
 @LINUX
-@pytest.mark.parametrize(
-    ("wall", "pressure", "solver"),
-    [
-        ({}, 0.012, {}),
-        ({}, 0.04, {}),
-        ({}, 0.0032, {"method": "gfmd"}),
-        ({}, 0.0032, {"transform": "mpi4py-fft"}),
-        ({}, 0.012, {"storage": "float32"}),
-        ({"kind": "exponential", "zeta": 0.25}, 0.0032, {}),
-        ({"kind": "adhesive", "work": 0.0002, "range": 0.05}, 0.0032, {}),
-    ],
-)
+@pytest.mark.parametrize(("wall", "pressure", "solver"), [
+    ({}, 0.012, {}),
+    ({}, 0.04, {}),
+    ({}, 0.0032, {"method": "gfmd"}),
+    ({}, 0.0032, {"transform": "mpi4py-fft"}),
+    ({}, 0.012, {"storage": "float32"}),
+    ({"kind": "exponential", "zeta": 0.25}, 0.0032, {}),
+    ({"kind": "adhesive", "work": 0.0002, "range": 0.05}, 0.0032, {}),
+])  # fmt: skip
 def test_memory_of_methods(mpirun, tmp_path, wall, pressure, solver):
     """So it is with other walls, contact areas, methods and transforms."""
     text = text_of(1024, pressure, wall, **solver)

@@ -35,16 +35,13 @@ def test_every_extreme_ends_right_or_in_a_clear_error(capsys, monkeypatch, step)
     assert code == 0, [line for line in table.splitlines() if "WRONG" in line]
 
 
-@pytest.mark.parametrize(
-    ("change", "verdict"),
-    [
-        (lambda found: found.pressure.__imul__(1.01), "load"),
-        (lambda found: found.pressure.__setitem__((0, 0), np.nan), "not finite"),
-        (lambda found: found.gap.__iadd__(1.0), "gap in contact"),
-        (lambda found: found.pressure.__setitem__(slice(None), found.pressure.mean()), "gap in contact|error"),
-        (lambda found: setattr(found, "certificate", Certificate(1.0)), "tolerance"),
-    ],
-)
+@pytest.mark.parametrize(("change", "verdict"), [
+    (lambda found: found.pressure.__imul__(1.01), "load"),
+    (lambda found: found.pressure.__setitem__((0, 0), np.nan), "not finite"),
+    (lambda found: found.gap.__iadd__(1.0), "gap in contact"),
+    (lambda found: found.pressure.__setitem__(slice(None), found.pressure.mean()), "gap in contact|error"),
+    (lambda found: setattr(found, "certificate", Certificate(1.0)), "tolerance"),
+])  # fmt: skip
 def test_the_judge_sees_what_is_wrong(monkeypatch, change, verdict):
     """A solution that is spoilt on purpose is called wrong."""
     case = next(case for case in extremes.cases() if case.name == "load 1e-1 E'g")

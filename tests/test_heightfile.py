@@ -413,29 +413,23 @@ def test_instrument_s_file_is_mirrored_and_levelled_like_any_other(comm, package
     assert np.allclose(found, expected, rtol=0, atol=1e-14 * 1.7e-7)
 
 
-@pytest.mark.parametrize(
-    ("shape", "lengths", "periodic", "unit", "words"),
-    [
-        ((128, 128), SDF_LENGTHS, "as-is", "m", r"write n = \[128, 96\] under \[grid\]"),
-        ((128, 96), (128.0, 96.0), "as-is", "m", r"write length = \[1\.28e-05, 1\.152e-05\] under \[grid\]"),
-        ((256, 192), SDF_LENGTHS, "mirror", "nm", r"25600 x 23040 nm, with its mirror images, the cell"),
-        ((128, 96), SDF_LENGTHS, "as-is", "length", r'write length_unit = "µm" under \[output\]'),
-    ],
-)
+@pytest.mark.parametrize(("shape", "lengths", "periodic", "unit", "words"), [
+    ((128, 128), SDF_LENGTHS, "as-is", "m", r"write n = \[128, 96\] under \[grid\]"),
+    ((128, 96), (128.0, 96.0), "as-is", "m", r"write length = \[1\.28e-05, 1\.152e-05\] under \[grid\]"),
+    ((256, 192), SDF_LENGTHS, "mirror", "nm", r"25600 x 23040 nm, with its mirror images, the cell"),
+    ((128, 96), SDF_LENGTHS, "as-is", "length", r'write length_unit = "µm" under \[output\]'),
+])  # fmt: skip
 def test_grid_cell_and_unit_must_be_those_of_the_file(comm, package, shape, lengths, periodic, unit, words):
     """What does not fit is named with what to write."""
     with pytest.raises(InputError, match=words):
         read_heights(SlabGrid(comm, shape, lengths), SDF, periodic=periodic, length_unit=unit)
 
 
-@pytest.mark.parametrize(
-    ("header", "unit", "words"),
-    [
-        ("", "m", 'if it is in µm, begin it with "# Lateral units: µm" and "# Value units: µm"'),
-        ("# Lateral units: um\n# Value units: um\n", "um", 'length_unit = "m" under [output]'),
-        ("", "length", '"# Value units: µm", and write length_unit = "m" under [output]); or leave out'),
-    ],
-)
+@pytest.mark.parametrize(("header", "unit", "words"), [
+    ("", "m", 'if it is in µm, begin it with "# Lateral units: µm" and "# Value units: µm"'),
+    ("# Lateral units: um\n# Value units: um\n", "um", 'length_unit = "m" under [output]'),
+    ("", "length", '"# Value units: µm", and write length_unit = "m" under [output]); or leave out'),
+])  # fmt: skip
 def test_points_in_another_unit_than_the_job(comm, shared_tmp_path, header, unit, words):
     """A list of points in µm, a job in metres: the advice names the unit that one of them does not say."""
     points = "".join(f"{x} {y} {(3 * x + y) % 5}\n" for x in range(8) for y in range(8))
@@ -444,16 +438,13 @@ def test_points_in_another_unit_than_the_job(comm, shared_tmp_path, header, unit
         read_heights(SlabGrid(comm, (8, 8), (8e-6, 8e-6)), path, length_unit=unit)
 
 
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        (SDF.read_bytes()[:5000], "cannot be read by SurfaceTopography"),
-        (b"neither heights nor anything else\n", "read by SurfaceTopography: .* numbers, but .* begin with #$"),
-        (b"", "is empty$"),
-        (SDF.read_bytes()[:81] + 6000 * b"\0\0\xc0\x7f" + SDF.read_bytes()[24081:], "6000 of 12288 points .* too many"),
-        ("\n".join(f"{x} {x % 3}" for x in range(20)).encode(), "line scan"),
-    ],
-)
+@pytest.mark.parametrize(("content", "words"), [
+    (SDF.read_bytes()[:5000], "cannot be read by SurfaceTopography"),
+    (b"neither heights nor anything else\n", "read by SurfaceTopography: .* numbers, but .* begin with #$"),
+    (b"", "is empty$"),
+    (SDF.read_bytes()[:81] + 6000 * b"\0\0\xc0\x7f" + SDF.read_bytes()[24081:], "6000 of 12288 points .* too many"),
+    ("\n".join(f"{x} {x % 3}" for x in range(20)).encode(), "line scan"),
+])  # fmt: skip
 def test_files_that_hold_no_surface(comm, package, shared_tmp_path, content, words):
     """Cut off, of no known format, with a hole, a profile: one line on every rank."""
     path = saved(comm, shared_tmp_path / "a.dat", lambda path: path.write_bytes(content))

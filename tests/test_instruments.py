@@ -29,18 +29,15 @@ def asked(path, more="", rest=REST):
     return job.parse(f'[surface]\nkind = "file"\npath = "{path}"\n{more}\n{rest}', folder=str(ROOT))
 
 
-@pytest.mark.parametrize(
-    ("more", "n", "length", "unit"),
-    [
-        ("", (128, 96), (12.8, 11.52), "µm"),
-        ('first_axis = "y"', (96, 128), (11.52, 12.8), "µm"),
-        ('periodic = "mirror"', (256, 192), (25.6, 23.04), "µm"),
-        ('[output]\nlength_unit = "nm"', (128, 96), (12800, 11520), "nm"),
-        ('[output]\nlength_unit = "length"', (128, 96), (12.8, 11.52), "µm"),
-        ("[grid]\nn = [128, 96]", (128, 96), (12.8, 11.52), "µm"),
-        ("[grid]\nspacing = [0.1, 0.12]", (128, 96), (12.8, 11.52), "µm"),
-    ],
-)
+@pytest.mark.parametrize(("more", "n", "length", "unit"), [
+    ("", (128, 96), (12.8, 11.52), "µm"),
+    ('first_axis = "y"', (96, 128), (11.52, 12.8), "µm"),
+    ('periodic = "mirror"', (256, 192), (25.6, 23.04), "µm"),
+    ('[output]\nlength_unit = "nm"', (128, 96), (12800, 11520), "nm"),
+    ('[output]\nlength_unit = "length"', (128, 96), (12.8, 11.52), "µm"),
+    ("[grid]\nn = [128, 96]", (128, 96), (12.8, 11.52), "µm"),
+    ("[grid]\nspacing = [0.1, 0.12]", (128, 96), (12.8, 11.52), "µm"),
+])  # fmt: skip
 def test_points_size_and_unit_come_from_the_file(more, n, length, unit):
     """What the job leaves out is as in the file, turned, mirrored or converted like the heights; to rounding."""
     pytest.importorskip("SurfaceTopography", reason="tools/setup.sh test")

@@ -78,19 +78,11 @@ def test_root_is_small():
     assert sum(path.is_dir() for path in entries) <= 11
 
 
-@pytest.mark.parametrize(
-    ("outside", "allowed"),
-    [
-        ("mpi4py", {"parallel"}),
-        ("mpi4py_fft", {"grid"}),
-        ("pyfftw", {"grid", "application"}),
-        ("h5py", {"application", "surfaces"}),
-        ("tomllib", {"application"}),
-        ("signal", {"application"}),
-        ("tqdm", {"application"}),
-        ("SurfaceTopography", {"application", "surfaces"}),
-    ],
-)
+@pytest.mark.parametrize(("outside", "allowed"), [
+    ("mpi4py", {"parallel"}), ("mpi4py_fft", {"grid"}), ("pyfftw", {"grid", "application"}),
+    ("h5py", {"application", "surfaces"}), ("tomllib", {"application"}), ("signal", {"application"}),
+    ("tqdm", {"application"}), ("SurfaceTopography", {"application", "surfaces"}),
+])  # fmt: skip
 def test_libraries_stay_where_they_belong(outside, allowed):
     """Transforms are planned in one folder, files are opened in few."""
     users = {name.split(".")[1] for name, found in IMPORTS.items() if outside in found}

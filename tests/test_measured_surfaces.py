@@ -117,17 +117,10 @@ def test_images_that_are_no_heights(comm, shared_tmp_path):
         readers._tiff(str(shared_tmp_path / "missing.tif"))
 
 
-@pytest.mark.parametrize(
-    ("surface", "options", "edges"),
-    [
-        ("tilted", {}, "xy"),
-        ("tilted", {"detrend": "plane"}, ""),
-        ("tilted", {"periodic": "mirror"}, ""),
-        ("periodic", {}, ""),
-        ("tilted along x", {}, "x"),
-        ("noise", {}, ""),
-    ],
-)
+@pytest.mark.parametrize(("surface", "options", "edges"), [
+    ("tilted", {}, "xy"), ("tilted", {"detrend": "plane"}, ""), ("tilted", {"periodic": "mirror"}, ""),
+    ("periodic", {}, ""), ("tilted along x", {}, "x"), ("noise", {}, ""),
+])  # fmt: skip
 def test_edges_that_do_not_match(comm, shared_tmp_path, caplog, monkeypatch, surface, options, edges):
     """Taken as it is, a surface whose opposite edges differ by much more than neighbours is warned of, once, with both
     pairs; one that is periodic, of noise alone, levelled or mirrored is not."""

@@ -106,15 +106,12 @@ def test_loads_are_added_to_a_run(comm, shared_tmp_path, control):
             simulate(job_of(control, other), comm, folder, restart=True)
 
 
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [
-        (["load.contact_area=[0.1]", "wall.kind=hard"], {"contact_area": (0.1,), "pressure": None}),
-        (["surface.radius=7", "surface.kind=paraboloid"], {"radius": 7.0, "kind": "paraboloid"}),
-        (["wall.kind=hardness", "wall.hardness=0.2"], {"hardness": 0.2}),
-        (["surface.kind=sinusoid", "surface.amplitude=2", "load.mean_gap=[1]"], {"amplitude": 2.0, "mean_gap": (1,)}),
-    ],
-)
+@pytest.mark.parametrize(("changes", "expected"), [
+    (["load.contact_area=[0.1]", "wall.kind=hard"], {"contact_area": (0.1,), "pressure": None}),
+    (["surface.radius=7", "surface.kind=paraboloid"], {"radius": 7.0, "kind": "paraboloid"}),
+    (["wall.kind=hardness", "wall.hardness=0.2"], {"hardness": 0.2}),
+    (["surface.kind=sinusoid", "surface.amplitude=2", "load.mean_gap=[1]"], {"amplitude": 2.0, "mean_gap": (1,)}),
+])  # fmt: skip
 def test_set_replaces_one_kind_by_another(tmp_path, changes, expected):
     """--set of another control, surface or wall removes what belongs to the one in the file; the order is free."""
     text = text_of("pressure", [0.1]) + '[wall]\nkind = "exponential"\nzeta = 0.5\n'
@@ -125,15 +122,12 @@ def test_set_replaces_one_kind_by_another(tmp_path, changes, expected):
         assert getattr(owner, name) == value
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        (["load.contact_area=[0.1]", "load.pressure=[0.1]"], "exactly one of"),
-        (["surface.kind=paraboloid", "surface.radius=7", "surface.hurst=0.8"], "surface.hurst = 0.8: belongs to"),
-        (["surface.kind=parabola"], "surface.kind = \"parabola\": must be one of"),
-        (["surface.radius=7"], "surface.radius = 7: belongs to kind = \"paraboloid\" or"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("changes", "message"), [
+    (["load.contact_area=[0.1]", "load.pressure=[0.1]"], "exactly one of"),
+    (["surface.kind=paraboloid", "surface.radius=7", "surface.hurst=0.8"], "surface.hurst = 0.8: belongs to"),
+    (["surface.kind=parabola"], "surface.kind = \"parabola\": must be one of"),
+    (["surface.radius=7"], "surface.radius = 7: belongs to kind = \"paraboloid\" or"),
+])  # fmt: skip
 def test_set_itself_must_fit_together(changes, message):
     """Two controls, or keys of two kinds, given by --set are refused; so is a key of a kind that is not chosen."""
     with pytest.raises(InputError, match=message):

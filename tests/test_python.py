@@ -133,16 +133,13 @@ def test_a_batch_is_its_surfaces_one_by_one(comm, heights):
                 pgfmd.solve(uneven, 0.1, comm=comm)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({}, "exactly one of"), ({"pressure": 0.1, "force": 1.0}, "pressure and force"),
-        ({"pressure": []}, "pressure = "), ({"force": [1, -1]}, "force = "), ({"contact_area": 1.5}, "contact_area"),
-        ({"pressure": 0.1, "wall": {"kind": "soft"}}, "wall.kind"), ({"pressure": 0.1, "wall": 3}, "wall = 3"),
-        ({"pressure": 0.1, "zeta": 1.0, "wall": {"kind": "hard"}}, "zeta"),
-        ({"pressure": 0.1, "area_tolerance": 0.0}, "area_tolerance"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("arguments", "message"), [
+    ({}, "exactly one of"), ({"pressure": 0.1, "force": 1.0}, "pressure and force"),
+    ({"pressure": []}, "pressure = "), ({"force": [1, -1]}, "force = "), ({"contact_area": 1.5}, "contact_area"),
+    ({"pressure": 0.1, "wall": {"kind": "soft"}}, "wall.kind"), ({"pressure": 0.1, "wall": 3}, "wall = 3"),
+    ({"pressure": 0.1, "zeta": 1.0, "wall": {"kind": "hard"}}, "zeta"),
+    ({"pressure": 0.1, "area_tolerance": 0.0}, "area_tolerance"),
+])  # fmt: skip
 def test_wrong_loads_and_walls_are_refused(comm, heights, arguments, message):
     """One line that names the argument, on all ranks, before anything is solved."""
     with pytest.raises(InputError, match=message) as caught:

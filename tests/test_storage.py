@@ -207,14 +207,11 @@ def test_a_gap_closer_than_rounding_is_refused(comm):
         pgfmd.solve(rough(comm), mean_gap=0.4, gap_tolerance=1e-8, storage="float32", comm=comm, threads=1)
 
 
-@pytest.mark.parametrize(
-    ("options", "reason"),
-    [
-        ({"zeta": 0.1}, "wall.kind"), ({"boundary": "open"}, "boundary"), ({"method": "gfmd"}, "method"),
-        ({"thickness": 2.0, "base": "free"}, "so thin a solid"),
-        ({"wall": {"kind": "hardness", "hardness": 1.0}}, "wall.kind"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("options", "reason"), [
+    ({"zeta": 0.1}, "wall.kind"), ({"boundary": "open"}, "boundary"), ({"method": "gfmd"}, "method"),
+    ({"thickness": 2.0, "base": "free"}, "so thin a solid"),
+    ({"wall": {"kind": "hardness", "hardness": 1.0}}, "wall.kind"),
+])  # fmt: skip
 def test_what_needs_double_precision_is_refused(comm, options, reason):
     """One line, which names the key that single precision does not go with."""
     with pytest.raises(InputError, match=f"solver.storage.*{reason}"):

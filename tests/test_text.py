@@ -76,19 +76,16 @@ def test_units_of_points(tmp_path):
     assert found.unit == "µm" and found.lengths == (2, 4)
 
 
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        ("1 2\n2 3\n3 4\n", "line scan"),
-        ("0 0 1\n1 0 2\n2 0 3\n", "line scan"),
-        ("0 0 1\n1 1 2\n0.3 .7 2\n.2 .5 1\n", "no lattice"),
-        ("0 0 1\n0 1 2\n1 0 3\n1 0 4\n", "two heights at one point"),
-        ("\n".join(f"{i} {7 * i % 40} {i}" for i in range(40)), "40 points do not fill the lattice of 40 x 40"),
-        ("nan 0 1\n0 1 2\n1 0 3\n1 1 4\n", "not all of them are finite"),
-        ("1 2 3 4\n1 2 3\n", "line 2 has 3 numbers, unlike the first, which has 4"),
-        ("1 2 3 4\n1 2 c 4\n", "line 2 is not a line of numbers"),
-    ],
-)
+@pytest.mark.parametrize(("content", "words"), [
+    ("1 2\n2 3\n3 4\n", "line scan"),
+    ("0 0 1\n1 0 2\n2 0 3\n", "line scan"),
+    ("0 0 1\n1 1 2\n0.3 .7 2\n.2 .5 1\n", "no lattice"),
+    ("0 0 1\n0 1 2\n1 0 3\n1 0 4\n", "two heights at one point"),
+    ("\n".join(f"{i} {7 * i % 40} {i}" for i in range(40)), "40 points do not fill the lattice of 40 x 40"),
+    ("nan 0 1\n0 1 2\n1 0 3\n1 1 4\n", "not all of them are finite"),
+    ("1 2 3 4\n1 2 3\n", "line 2 has 3 numbers, unlike the first, which has 4"),
+    ("1 2 3 4\n1 2 c 4\n", "line 2 is not a line of numbers"),
+])  # fmt: skip
 def test_tables_that_are_no_surface(tmp_path, content, words):
     """What is wrong with it, and where."""
     (tmp_path / "a.txt").write_text(content)

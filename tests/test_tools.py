@@ -681,21 +681,18 @@ parts = [{ what = "x", finding = "N: y", number = [1, 1] }]
         assert (tmp_path / "out" / "report.pdf").read_bytes().startswith(b"%PDF")
 
 
-@pytest.mark.parametrize(
-    ("text", "formulas"),
-    [
-        ("At f_c = 0.3 % it is near <1>", ["<msub>f c</msub>=0.3"]),
-        ("C_c ≤ C_σ/σ_c² ≤ m₂ C_c, everywhere", ["<msub>C c</msub>≤<msub>C σ</msub>/<msubsup>σ c 2</msubsup>≤"
-                                                "<msub>m 2</msub><msub>C c</msub>"]),
-        ("falls as q^(−(1+H)) up to q*.", ["<msup>q −(1+H)</msup>", "<msup>q *</msup>"]),
-        ("a patch of 8 a, (λ_s = a)", ["(<msub>λ s</msub>=a)"]),
-        ("κ = f_c E'g/p̄ and √(8/π), ⟨σ²⟩_c", ["κ=<msub>f c</msub><msup>E ′</msup>g/<mover>p ¯</mover>",
-                                              "<msqrt>8 / π</msqrt>", "<msub>⟨<msup>σ 2</msup>⟩ c</msub>"]),
-        ("at H = 0.8 (32 surfaces): below", ["H=0.8"]),
-        ("at 0.1 λ_s² (τ = 0.09 up to there)", ["0.1<msubsup>λ s 2</msubsup>", "τ=0.09"]),
-        ("Figure 2, Campañá's “P” over 4 to 8", []),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("text", "formulas"), [
+    ("At f_c = 0.3 % it is near <1>", ["<msub>f c</msub>=0.3"]),
+    ("C_c ≤ C_σ/σ_c² ≤ m₂ C_c, everywhere", ["<msub>C c</msub>≤<msub>C σ</msub>/<msubsup>σ c 2</msubsup>≤"
+                                            "<msub>m 2</msub><msub>C c</msub>"]),
+    ("falls as q^(−(1+H)) up to q*.", ["<msup>q −(1+H)</msup>", "<msup>q *</msup>"]),
+    ("a patch of 8 a, (λ_s = a)", ["(<msub>λ s</msub>=a)"]),
+    ("κ = f_c E'g/p̄ and √(8/π), ⟨σ²⟩_c", ["κ=<msub>f c</msub><msup>E ′</msup>g/<mover>p ¯</mover>",
+                                          "<msqrt>8 / π</msqrt>", "<msub>⟨<msup>σ 2</msup>⟩ c</msub>"]),
+    ("at H = 0.8 (32 surfaces): below", ["H=0.8"]),
+    ("at 0.1 λ_s² (τ = 0.09 up to there)", ["0.1<msubsup>λ s 2</msubsup>", "τ=0.09"]),
+    ("Figure 2, Campañá's “P” over 4 to 8", []),
+])  # fmt: skip
 def test_formulas_in_sentences(text, formulas):
     """A sentence is valid XML, keeps its words, and has exactly these formulas in MathML."""
     tree = ElementTree.fromstring(f"<p>{marked(text)}</p>")
