@@ -100,6 +100,13 @@ def whole(grid, field):
     return grid.fetch(field, 0, grid.shape[0])
 
 
+def python(code: str, *arguments: object, **environment: str) -> subprocess.CompletedProcess:
+    """What a fresh interpreter makes of `code`, in the folder of this checkout."""
+    command = [sys.executable, "-c", code, *map(str, arguments)]
+    kept = {"cwd": ROOT, "env": os.environ | environment, "capture_output": True, "text": True}
+    return subprocess.run(command, timeout=600, check=False, **kept)
+
+
 def once(comm, action, *arguments, **keywords) -> None:
     """Rank 0 calls action(*arguments, **keywords), after all ranks have come and before any goes on.  Collective."""
     comm.Barrier()

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import shutil
-import subprocess
-import sys
 
 import numpy as np
 import pytest
-from conftest import ROOT
+from conftest import ROOT, python
 from job_texts import EVERY_OBSERVABLE, rough_job
 
 from pgfmd.application.results import Results
@@ -35,14 +32,6 @@ import subprocess, sys
 rank = "from mpi4py import MPI; print(MPI.COMM_WORLD.size)"
 sys.exit(subprocess.run([sys.argv[2], "-n", "2", sys.executable, "-c", rank]).returncode)
 """
-
-
-def python(code: str, *arguments: object, **environment: str) -> subprocess.CompletedProcess:
-    """A fresh interpreter that runs `code`."""
-    command = [sys.executable, "-c", code, *map(str, arguments)]
-    return subprocess.run(
-        command, env=os.environ | environment, capture_output=True, text=True, timeout=300, check=False
-    )
 
 
 def test_a_run_without_mpi_writes_the_same(tmp_path):

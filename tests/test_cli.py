@@ -5,7 +5,6 @@ The run itself is replaced by a stand-in that writes known fields: what is teste
 
 from __future__ import annotations
 
-import os
 import shutil
 import subprocess
 import sys
@@ -15,7 +14,7 @@ from types import SimpleNamespace
 import h5py
 import numpy as np
 import pytest
-from conftest import broad
+from conftest import broad, python
 from job_texts import SOLID
 
 from pgfmd.application import cli
@@ -104,8 +103,7 @@ def results(finished, tmp_path) -> Path:
 def alone(*arguments, code="sys.exit(main())", **environment) -> subprocess.CompletedProcess:
     """The command line in a process without MPI; or what `code` makes of its main()."""
     code = "import sys; sys.modules['mpi4py'] = None; from pgfmd.application.cli import main; " + code
-    command = [sys.executable, "-c", code, *map(str, arguments)]
-    return subprocess.run(command, check=False, capture_output=True, text=True, env=os.environ | environment)
+    return python(code, *arguments, **environment)
 
 
 def complaints(stderr: str) -> list[str]:

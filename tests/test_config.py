@@ -5,14 +5,13 @@ from __future__ import annotations
 import json
 import math
 import string
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
+from conftest import python
 
 from pgfmd.application import job as config
 from pgfmd.errors import InputError
@@ -338,4 +337,4 @@ def test_fuzzed_jobs_end_in_a_job_or_one_line(request):
 def test_needs_no_mpi():
     """Reading a job, and the package itself, import neither mpi4py nor h5py."""
     code = "import sys, pgfmd, pgfmd.application.job; sys.exit('mpi4py' in sys.modules or 'h5py' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+    assert python(code).returncode == 0

@@ -14,7 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from conftest import ROOT
+from conftest import ROOT, python
 from job_texts import rough_job
 from mpi4py import MPI
 
@@ -150,7 +150,7 @@ for number in range(1100):
         before = resident()
 print(resident() - before)
 """
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    done = python(code)
     assert int(done.stdout) < 2e6, done.stderr
 
 

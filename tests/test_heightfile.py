@@ -5,14 +5,13 @@ from __future__ import annotations
 import hashlib
 import logging
 import re
-import subprocess
 import sys
 from functools import partial
 
 import h5py
 import numpy as np
 import pytest
-from conftest import ROOT, SIZE, saved, whole
+from conftest import ROOT, SIZE, python, saved, whole
 from job_texts import SOLID
 from mpi4py import MPI
 
@@ -321,8 +320,7 @@ def test_check_opens_the_file(tmp_path):
     said = "11 x 24 points, first axis x, unit not said; 1 of 264 points"
     for shape, words in ((SHAPE, said), ((24, 11), "24 x 11")):
         made(tmp_path / "a.npy", heights.reshape(shape))
-        command = [sys.executable, "-c", code, "check", str(tmp_path / "job.toml")]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        done = python(code, "check", tmp_path / "job.toml")
         assert done.returncode == (0 if shape == SHAPE else 2) and words in done.stdout + done.stderr
 
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
+from conftest import python
 from job_texts import SOLID, rough_job
 from mpi4py import MPI
 
@@ -98,7 +96,8 @@ except InputError as error:
 else:
     raise AssertionError
 """
-    subprocess.run([sys.executable, "-c", code], check=True)
+    done = python(code)
+    assert done.returncode == 0, done.stderr
 
 
 def test_it_is_named_where_it_is_missing(tmp_path):
@@ -108,8 +107,7 @@ def test_it_is_named_where_it_is_missing(tmp_path):
         SOLID + "[grid]\nn = 8\n[surface]\nkind = 'paraboloid'\nradius = 9\n[load]\npressure = 0.1\n"
         "[solver]\ntransform = 'mpi4py-fft'\n"
     )
-    words = [sys.executable, "-c", code, "run", tmp_path / "job.toml", "--output", tmp_path / "out"]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    done = python(code, "run", tmp_path / "job.toml", "--output", tmp_path / "out")
     assert done.returncode == 2 and "needs that package" in done.stderr.splitlines()[-1]
 
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import errno
 import fcntl
 import os
-import subprocess
-import sys
 import tomllib
 import warnings
 import zipfile
@@ -16,7 +14,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from conftest import once
+from conftest import once, python
 from job_texts import SOLID
 from mpi4py import MPI
 
@@ -242,7 +240,7 @@ def test_lock_dies_with_its_process(comm, shared_tmp_path):
     if comm.rank == 0:
         name = str(shared_tmp_path / "o")
         code = f"import os; from pgfmd.application import files; files.OutputFolder({name!r}); os._exit(9)"
-        assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 9
+        assert python(code).returncode == 9
         assert (shared_tmp_path / "o" / files.LOCK_NAME).exists()
     with writer(comm, shared_tmp_path / "o"):
         pass

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import pickle
-import subprocess
-import sys
-import textwrap
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from conftest import once
+from conftest import once, python
 
 import pgfmd
 from pgfmd import plugins
@@ -175,12 +172,10 @@ def test_other_ranks_need_no_file(job, shared_tmp_path):
     (shared_tmp_path / "sent").write_bytes(pickle.dumps(load(job)))
     text = as_toml(load(job))
     (shared_tmp_path / "mine.py").unlink()
-    code = textwrap.dedent("""
-        import pickle, sys
-        from pgfmd.application.job import as_toml
-        print(as_toml(pickle.load(open(sys.argv[1], "rb"))), end="")
-    """)
-    run = subprocess.run([sys.executable, "-c", code, shared_tmp_path / "sent"], capture_output=True, text=True)
+    code = """import pickle, sys
+from pgfmd.application.job import as_toml
+print(as_toml(pickle.load(open(sys.argv[1], "rb"))), end="")"""
+    run = python(code, shared_tmp_path / "sent")
     assert run.stdout == text, run.stderr
 
 

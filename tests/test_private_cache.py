@@ -11,7 +11,7 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import ROOT
+from conftest import ROOT, python
 
 from pgfmd.parallel import compiled
 from pgfmd.parallel.compiled import is_private, private_folder
@@ -113,7 +113,7 @@ def test_a_user_without_home_can_solve(tmp_path):
 def test_nowhere_to_keep_anything():
     """Where no folder can be had nothing is kept, and the answer is the same."""
     code = "import pgfmd.parallel.compiled as cache\ncache.is_private = lambda _: False\n" + SOLVE
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    done = python(code)
     assert done.returncode == 0 and done.stdout == "True None\n", done.stderr
 
 
@@ -360,9 +360,8 @@ except numba.TypingError:
 def test_a_failed_compilation_holds_up_nobody(tmp_path):
     """Where compiling fails or is interrupted, the lock is given back though the process lives on."""
     (tmp_path / "fail.py").write_text(FAIL)
-    environment = os.environ | {"PGFMD_CACHE": str(tmp_path / "cache"), "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, tmp_path / "fail.py"]
-    run = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
+    code = "import sys; sys.path.insert(0, sys.argv[1]); import fail"
+    run = python(code, tmp_path, PGFMD_CACHE=str(tmp_path / "cache"))
     assert run.stdout == "free\n", run.stderr
 
 
@@ -387,11 +386,9 @@ def test_code_of_an_older_source_is_not_run(tmp_path, edited):
     }
     for name, text in texts.items():
         (tmp_path / f"{name}.py").write_text(text)
-    environment = os.environ | {"PGFMD_CACHE": str(tmp_path), "PYTHONDONTWRITEBYTECODE": "1"}
-    command = [sys.executable, "-c", EDITED, str(tmp_path)]
 
     def result() -> float:
-        return float(subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True).stdout)
+        return float(python(EDITED, tmp_path, PGFMD_CACHE=str(tmp_path), PYTHONDONTWRITEBYTECODE="1").stdout)
 
     assert result() == 10
     (tmp_path / f"{edited}.py").write_text(texts[edited].replace("0\n", "5\n"))

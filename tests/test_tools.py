@@ -18,7 +18,7 @@ from xml.etree import ElementTree
 import browser
 import numpy as np
 import pytest
-from conftest import broad
+from conftest import broad, python
 
 import pgfmd
 from pgfmd.application import job as config
@@ -455,7 +455,7 @@ from pgfmd.application.cli import main
 for figure, folders in {calls!r}.items():
     assert main(["plot", figure, *folders, "--output", {str(tmp_path)!r}]) == 0, figure
 """
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=600)
+    done = python(script)
     assert done.returncode == 0, done.stderr
     assert "Warning" not in done.stderr, done.stderr
     for figure in figures.FIGURES:
@@ -509,7 +509,7 @@ sys.modules["matplotlib"] = None
 from pgfmd.application.cli import main
 sys.exit(main(["plot", {str(runs["kept"])!r}]))
 """
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=100)
+    done = python(script)
     assert done.returncode == 2 and done.stderr.count("\n") == 1 and "pip install" in done.stderr, done.stderr
 
 
