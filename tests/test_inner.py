@@ -321,7 +321,7 @@ def test_tensions_are_cut_where_they_are(shape):
     pressure = old[grid.rows].copy()
     load = 1.1 * old.sum()
     problem = under_hard_wall(grid, np.zeros_like(pressure), load / grid.size)
-    Feasible(problem).make(points, (pressure, np.zeros_like(pressure)))
+    Feasible(grid).make(problem, points, (pressure, np.zeros_like(pressure)))
     new = np.concatenate(comm.allgather(pressure))
     assert new.min() == 0 and new.sum() == pytest.approx(load, rel=1e-12, abs=0)
     before, after = (
