@@ -104,7 +104,7 @@ def python(code: str, *arguments: object, **environment: str) -> subprocess.Comp
     """What a fresh interpreter makes of `code`, in the folder of this checkout."""
     command = [sys.executable, "-c", code, *map(str, arguments)]
     kept = {"cwd": ROOT, "env": os.environ | environment, "capture_output": True, "text": True}
-    return subprocess.run(command, timeout=600, check=False, **kept)
+    return subprocess.run(command, timeout=900, check=False, **kept)
 
 
 def once(comm, action, *arguments, **keywords) -> None:

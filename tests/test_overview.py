@@ -11,10 +11,11 @@ from pathlib import Path
 import browser
 import numpy as np
 import pytest
+from job_texts import rough_job
 from scipy import ndimage
 
-from pgfmd.application import job
-from pgfmd.application.simulate import simulate
+import pgfmd
+from pgfmd.application.job import parse
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "tools" / "plots"))
@@ -26,46 +27,25 @@ import patch_areas  # noqa: E402
 import pyramid  # noqa: E402
 import reading  # noqa: E402
 
-JOB = """
-[grid]
-n = [240, 200]
-length = [12.0, 10.0]
-[surface]
-kind = "self-affine"
-hurst = 0.8
-lambda_s = 12.0
-rms_slope = 0.1
-[wall]
-{wall}
-[solid]
-contact_modulus = 1
-[load]
-pressure = [0.004, 0.02]
-[output]
-fields = {fields}
-observables = {observables}
-length_unit = "µm"
-pressure_unit = "<b>GPa"
-"""
-FIELDS = '["height", "pressure", "gap", "labels"]'
-OBSERVABLES = '["histogram", "spectra", "patches", "discretisation"]'
-HARD, SOFT = 'kind = "hard"', 'kind = "exponential"\nzeta = 0.02'
+ALL = ["height", "pressure", "gap", "labels"], ["histogram", "spectra", "patches", "discretisation"]
+RUNS = {  # folder, fields, observables, wall
+    "all": ("<i>all & é", *ALL, {}),
+    "pressures": ("pressures", ["pressure"], [], {}),
+    "nothing": ("nothing", [], [], {}),
+    "soft": ("soft", ["height", "pressure", "gap"], ["spectra"], {"kind": "exponential", "zeta": 0.02}),
+}
 
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory) -> dict[str, Path]:
     """Small runs: everything kept, nothing but numbers kept, and an exponential wall."""
-    from mpi4py import MPI
-
-    folder, made = tmp_path_factory.mktemp("runs"), {}
-    for name, wall, fields, observables in (
-        ("<i>all & é", HARD, FIELDS, OBSERVABLES), ("pressures", HARD, '["pressure"]', "[]"),
-        ("nothing", HARD, "[]", "[]"), ("soft", SOFT, '["height", "pressure", "gap"]', '["spectra"]'),
-    ):  # fmt: skip
-        text = JOB.format(wall=wall, fields=fields, observables=observables)
-        simulate(job.parse(text), MPI.COMM_SELF, folder / name)
-        made[name.partition(">")[2][:3] or name] = folder / name
-    return made
+    top, units = tmp_path_factory.mktemp("runs"), {"length_unit": "µm", "pressure_unit": "<b>GPa"}
+    job = {"grid": {"length": [12.0, 10.0]}, "solid": {"contact_modulus": 1.0}, "load": {"pressure": [0.004, 0.02]}}
+    for folder, fields, observables, wall in RUNS.values():
+        output = {"fields": fields, "observables": observables} | units
+        text = rough_job([240, 200], {"lambda_s": 12.0}, **job, wall=wall, output=output)
+        pgfmd.run(parse(text), top / folder)
+    return {name: top / folder for name, (folder, *_) in RUNS.items()}
 
 
 @pytest.fixture

@@ -10,8 +10,6 @@ import csv
 import json
 import math
 import re
-import subprocess
-import sys
 import tomllib
 from collections import defaultdict
 from functools import cache
@@ -19,31 +17,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import python
+from job_texts import rough_job
+
+import pgfmd
+from pgfmd.application.job import parse
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "jobs" / "paper" / "results"
 pytestmark = pytest.mark.breadth
-JOB = """
-[grid]
-n = 128
-[surface]
-kind = "self-affine"
-hurst = 0.5
-lambda_s = 4.0
-rms_slope = 0.031
-seed = {seed}
-[wall]
-{wall}
-[solid]
-lame_lambda = 1
-lame_mu = 1
-[load]
-pressure = [0.003, 0.02]
-[output]
-fields = ["height"]
-observables = ["histogram", "spectra", "acf", "patches", "bearing"]
-"""
-WALLS = {"hard": 'kind = "hard"', "soft": 'kind = "exponential"\nzeta = 0.25'}
+ROUGH, KEPT = {"hurst": 0.5, "lambda_s": 4.0, "rms_slope": 0.031}, ["histogram", "spectra", "acf", "patches", "bearing"]
+JOB = {"load": {"pressure": [0.003, 0.02]}, "output": {"fields": ["height"], "observables": KEPT}}
+WALLS = {"hard": {"kind": "hard"}, "soft": {"kind": "exponential", "zeta": 0.25}}
 CALLS = {
     "area_load": ("hard", ["--area", "0.2"]),
     "exponents": ("hard", ["--window", "2", "12"]),
@@ -66,22 +51,18 @@ SHORTEST = {"F67": 8, "LF": 8, "L4b": 32}  # λ_s, where they do not
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
     """Every figure of three surfaces under a hard wall, two under an exponential one."""
-    from mpi4py import MPI
-
-    from pgfmd.application import job
-    from pgfmd.application.simulate import simulate
-
     root = tmp_path_factory.mktemp("paper")
     runs = defaultdict(list)
     for wall, seeds in (("hard", (1, 2, 3)), ("soft", (1, 2))):
         for seed in seeds:
             path = root / f"{wall}-{seed}"
-            simulate(job.parse(JOB.format(seed=seed, wall=WALLS[wall])), MPI.COMM_SELF, path)
+            pgfmd.run(parse(rough_job(128, ROUGH | {"seed": seed}, wall=WALLS[wall], **JOB)), path)
             runs[wall].append(str(path))
     calls = [[figure, *runs[wall], *options, "--output", str(root)] for figure, (wall, options) in CALLS.items()]
     script = f"import sys\nsys.path.insert(0, {str(ROOT / 'tools' / 'plots')!r})\nimport figures\n"
     script += f"for words in {calls!r}:\n    assert figures.main(words) == 0, words\n"
-    subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, timeout=900)
+    done = python(script)
+    assert done.returncode == 0, done.stderr
     return root
 
 
@@ -101,10 +82,13 @@ class Figure:
                 groups[tuple(row[key] for key in keys)].append({name: number(text) for name, text in row.items()})
         return {key: {each: np.array([row[each] for row in rows]) for each in rows[0]} for key, rows in groups.items()}
 
-    def split(self, name: str, *settings: str) -> tuple[str, str]:
-        """The name of a number without its setting, and the setting."""
-        setting = next((each for each in settings if name.endswith(f", {each}")), "")
-        return (name.removesuffix(f", {setting}"), setting) if setting else (name, settings[0])
+    def of_setting(self, name: str, table: str, *keys: str) -> tuple[str, str, dict[tuple, dict[str, np.ndarray]]]:
+        """The name of a number without its setting, the setting, and its rows of a table by the values of keys."""
+        data = self.table(table, "setting", *keys)
+        settings = [key[0] for key in data]
+        setting = next((each for each in settings if name.endswith(f", {each}")), settings[0])
+        mine = {key[1:]: rows for key, rows in data.items() if key[0] == setting}
+        return name.removesuffix(f", {setting}"), setting, mine
 
     def window(self, setting: str) -> tuple[float, float]:
         """The fit range in q/q_l: from 8 to q_s/16, to q_s/2 where that leaves less than a factor of 4."""
@@ -174,12 +158,9 @@ def falls_below(x, y, level: float) -> float:
 
 def area_load(figure: Figure, name: str):
     """κ = f_c E' g/p̄ of each surface, between its loads linearly in ln f_c, and the way to BGT's."""
-    loads = figure.table("loads", "setting", "seed")
-    kind, setting = figure.split(name, *dict.fromkeys(key[0] for key in loads))
+    kind, _, runs = figure.of_setting(name, "loads", "seed")
     values = []
-    for (mine, _), run in loads.items():
-        if mine != setting:
-            continue
+    for run in runs.values():
         area = run["area" if "raw" in kind else "area_corrected"][np.argsort(run["mean_pressure"])]
         kappa = area * (run["modulus"] * run["rms_slope"] / run["mean_pressure"])[np.argsort(run["mean_pressure"])]
         at = re.search(r"f_c = ([0-9.]+)", kind)
@@ -192,8 +173,8 @@ def area_load(figure: Figure, name: str):
 
 def pressure_distribution(figure: Figure, name: str):
     """Moments, κ and the fitted width of each load; those of two Gaussians by quadrature."""
-    kind, setting = figure.split(name, *(key[0] for key in figure.table("loads", "setting")))
-    loads = figure.table("loads", "setting")[setting,]
+    kind, _, tables = figure.of_setting(name, "loads")
+    (loads,) = tables.values()
     std, load = loads["modulus"] * loads["rms_slope"] / 2, loads["mean_pressure"]
     if "Persson" in kind:
         sigma = np.linspace(0, 12, 200_001)[:, None] * std
@@ -210,12 +191,10 @@ def pressure_distribution(figure: Figure, name: str):
 
 def exponents(figure: Figure, name: str):
     """Joint and separate exponents of each surface by a linear system; ratios of two loads in octaves."""
-    data = figure.table("data", "setting", "run", "load")
-    kind, setting = figure.split(name, *dict.fromkeys(key[0] for key in data))
+    kind, setting, data = figure.of_setting(name, "data", "run", "load")
     runs = defaultdict(dict)
-    for (mine, run, load), columns in data.items():
-        if mine == setting:
-            runs[run][float(load)] = columns
+    for (run, load), columns in data.items():
+        runs[run][float(load)] = columns
     low, high = figure.window(setting)
     if octave := re.search(r"local μ joint, ([0-9]+)", kind):
         low, high = float(octave[1]), 2 * float(octave[1])
@@ -248,14 +227,13 @@ def exponents(figure: Figure, name: str):
 
 def bearing_area(figure: Figure, name: str):
     """μ_c of elastic contact and of the bearing area."""
-    data = figure.table("data", "setting", "kind", "seed")
-    kind, setting = figure.split(name, *dict.fromkeys(key[0] for key in data))
+    kind, setting, data = figure.of_setting(name, "data", "kind", "seed")
     if kind.startswith("theory"):
         return 2.5 if not figure.key else 2 + float(re.search("H = ([0-9.]+)", setting)[1])
     low, high = figure.window(setting)
     values = []
-    for (mine, which, _), run in data.items():
-        if mine == setting and which == ("contact" if "elastic" in kind else "bearing"):
+    for (which, _), run in data.items():
+        if which == ("contact" if "elastic" in kind else "bearing"):
             part = inside(run["q_over_q_l"], low, high)
             values.append(-slopes(run["q_over_q_l"][part], [run["spectrum"][part]]))
     return values
@@ -285,9 +263,8 @@ def autocorrelations(figure: Figure, name: str):
 
 def stress_contact_spectra(figure: Figure, name: str):
     """Ratios of the spectra: of the sums over modes at the longest waves, of the shortest waves, and the largest."""
-    data = figure.table("data", "setting", "seed")
-    kind, setting = figure.split(name, *dict.fromkeys(key[0] for key in data))
-    runs = [run for key, run in data.items() if key[0] == setting]
+    kind, setting, data = figure.of_setting(name, "data", "seed")
+    runs = list(data.values())
     stress, contact = (np.array([run[each] for run in runs]) for each in ("stress", "contact"))
     x, modes = runs[0]["q_over_q_l"], runs[0]["modes"]
     top = int(np.argmax(np.where(modes >= 100, stress.sum(axis=0) / contact.sum(axis=0), 0)))
@@ -305,9 +282,8 @@ def stress_contact_spectra(figure: Figure, name: str):
 
 def correlation_decay(figure: Figure, name: str):
     """ν of the mean over the seeds from 4 to 64 λ_s; less that of q^−(1+H) summed over the modes of this cell."""
-    data = figure.table("data", "setting", "seed")
-    kind, setting = figure.split(name, *dict.fromkeys(key[0] for key in data))
-    runs = [run for key, run in data.items() if key[0] == setting]
+    kind, setting, data = figure.of_setting(name, "data", "seed")
+    runs = list(data.values())
     x = runs[0]["r_over_lambda_s"]
     part, hurst = inside(x, 4, 64), float(re.search("H = ([0-9.]+)", setting)[1])
 
@@ -337,13 +313,10 @@ def law(n: int, hurst: float, x: np.ndarray) -> np.ndarray:
 
 def persson_spectrum(figure: Figure, name: str):
     """Ratios to full contact and to both f(q), slopes, and where full contact ends."""
-    data = figure.table("data", "setting", "seed")
-    kind, setting = figure.split(name, *dict.fromkeys(key[0] for key in data))
+    kind, _, data = figure.of_setting(name, "data", "seed")
     top = CELL[figure.key] / SHORTEST[figure.key] if figure.key else 32
     values = []
-    for (mine, _), run in data.items():
-        if mine != setting:
-            continue
+    for run in data.values():
         x, ratio = run["q_over_q_l"], run["stress"] / run["full_contact"]
         f = run["f_solved" if "solved" in kind else "f_persson"]
         middle, line = (x >= 4) & (x <= top / 2), f if "f_" in kind else ratio

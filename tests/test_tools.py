@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import os
 import re
 import runpy
@@ -45,50 +44,32 @@ import samples  # noqa: E402
 import whole_fields  # noqa: E402
 from formulas import marked  # noqa: E402
 
-JOB = """
-[grid]
-n = {n}
-[surface]
-{surface}
-[wall]
-{wall}
-[solid]
-lame_lambda = 1
-lame_mu = 1
-[load]
-{load}
-[output]
-fields = {fields}
-observables = {observables}
-[output.partial_slip]
-friction = 0.3
-"""
 ALL = ("histogram", "spectra", "acf", "patches", "bearing", "lowpass")
 FOLLOWING = {"percolation": ("gap",), "leakage": ("flux_x", "flux_y"), "partial_slip": ("traction", "pressure"),
              "subsurface": ("von_mises",)}  # fmt: skip
-HARD, SOFT = 'kind = "hard"', 'kind = "exponential"\nzeta = 0.25'
+SOFT = {"wall": {"kind": "exponential", "zeta": 0.25}, "keep": ("spectra",)}
 
 
-def _rough(hurst=0.8, shortest=4.0, seed=1):
-    return f'kind = "self-affine"\nhurst = {hurst}\nlambda_s = {shortest}\nrms_slope = 0.031\nseed = {seed}'
+def _rough(shortest=4.0, seed=1):
+    return {"kind": "self-affine", "hurst": 0.8, "lambda_s": shortest, "rms_slope": 0.031, "seed": seed}
 
 
-ONE = "pressure = [0.003]"
-IN_FILE = 'kind = "file"\npath = "{folder}/heights.npy"'
-RUNS = {
+ONE = {"pressure": [0.003]}
+IN_FILE = {"kind": "file", "path": "heights.npy"}
+RUNS = {  # sections of the job; n, observables and fields by themselves
     "kept": {}, "bare": {"keep": ()}, "nothing": {"keep": (), "fields": ()},
-    **{f"seed{seed}": {"surface": _rough(shortest=1.0, seed=seed)} for seed in (1, 2)},
-    **{f"grid{n}": {"surface": _rough(shortest=n / 16), "n": n, "load": ONE} for n in (16, 32, 48)},
-    **{f"soft{seed}": {"surface": _rough(seed=seed), "wall": SOFT, "keep": ("spectra",)} for seed in (1, 2)},
-    "sharp": {"keep": (), "load": "pressure = [0.003, 0.02]\n[solver]\ntolerance = 1e-13"},
-    "file": {"surface": IN_FILE}, "soft file": {"surface": IN_FILE, "wall": SOFT, "keep": ("spectra",)},
-    "sinusoid": {"surface": 'kind = "sinusoid"\namplitude = 0.1\nwaves = 2'},
-    "paraboloid": {"surface": 'kind = "paraboloid"\nradius = 100.0', "load": "pressure = [1e-4, 1e-3]"},
+    **{f"seed{seed}": {"surface": _rough(1.0, seed)} for seed in (1, 2)},
+    **{f"grid{n}": {"surface": _rough(n / 16), "n": n, "load": ONE} for n in (16, 32, 48)},
+    **{f"soft{seed}": {"surface": _rough(seed=seed)} | SOFT for seed in (1, 2)},
+    "sharp": {"keep": (), "solver": {"tolerance": 1e-13}},
+    "file": {"surface": IN_FILE}, "soft file": {"surface": IN_FILE} | SOFT,
+    "sinusoid": {"surface": {"kind": "sinusoid", "amplitude": 0.1, "waves": 2}},
+    "paraboloid": {"surface": {"kind": "paraboloid", "radius": 100.0}, "load": {"pressure": [1e-4, 1e-3]}},
     "no patches": {"keep": ("histogram", "spectra"), "fields": ()}, "one load": {"load": ONE},
-    "none to full": {"load": "pressure = [0.0, 0.003, 0.3]"}, "areas": {"load": "contact_area = [0.04, 0.08]"},
-    "adhesive": {"wall": 'kind = "adhesive"\nwork = 0.02\nrange = 1.0', "n": 32, "keep": (),
-                 "load": "mean_gap = [0.6, 0.5, 0.4]"},
-    "following": {"surface": _rough(shortest=8.0), "keep": tuple(FOLLOWING),
+    "none to full": {"load": {"pressure": [0.0, 0.003, 0.3]}}, "areas": {"load": {"contact_area": [0.04, 0.08]}},
+    "adhesive": {"wall": {"kind": "adhesive", "work": 0.02, "range": 1.0}, "n": 32, "keep": (),
+                 "load": {"mean_gap": [0.6, 0.5, 0.4]}},
+    "following": {"surface": _rough(8.0), "keep": tuple(FOLLOWING),
                   "fields": sorted({field for names in FOLLOWING.values() for field in names})},
 }  # fmt: skip
 
@@ -101,16 +82,12 @@ class Made(dict):
         np.save(folder / "heights.npy", np.random.default_rng(3).normal(size=(48, 48)).cumsum(0) * 1e-2)
 
     def __missing__(self, name: str) -> Path:
-        from mpi4py import MPI
-
-        from pgfmd.application.simulate import simulate
-
-        usual = {"surface": _rough(), "load": "pressure = [0.003, 0.02]", "keep": ALL, "wall": HARD, "n": 48}
-        table = usual | {"fields": ("height", "pressure")} | RUNS[name]
-        fields, keep, surface = json.dumps(table["fields"]), json.dumps(table["keep"]), table["surface"]
-        job = JOB.format(**table | {"fields": fields, "surface": surface.format(folder=self.folder)}, observables=keep)
+        job = {"surface": _rough(), "load": {"pressure": [0.003, 0.02]}, "solid": {"lame_lambda": 1.0, "lame_mu": 1.0}}
+        job |= {"n": 48, "keep": ALL, "fields": ("height", "pressure")} | RUNS[name]
+        job["grid"] = {"n": job.pop("n")}
+        job["output"] = {"fields": job.pop("fields"), "observables": job.pop("keep"), "partial_slip": {"friction": 0.3}}
         self[name] = self.folder / name.replace(" ", "-")
-        simulate(config.parse(job), MPI.COMM_SELF, self[name])
+        pgfmd.run(config.parse(config.tables_as_toml(job), folder=str(self.folder)), self[name])
         return self[name]
 
 
@@ -471,13 +448,16 @@ for figure, folders in {calls!r}.items():
 
 
 def test_wrong_folder_is_one_line(tmp_path, capsys):
-    """A folder without results, no folder, a figure or an option that is not there: exit code 2, one line on stderr."""
+    """A folder without results, no folder, no figure, no option: exit code 2, one line that names what is wrong."""
     folder = str(tmp_path)
     for words in ([folder], ["no/such/folder"], [], [folder, "--no-option"], [folder, "--areas", "x"]):
         assert figures.main(["pressure_distribution", *words]) == 2
         assert capsys.readouterr().err.count("\n") == 1
     assert figures.main(["no_such_figure", folder]) == 2
     assert "area_load" in capsys.readouterr().err
+    assert figures.main([str(tmp_path / "typo")]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "typo': neither a folder nor a figure" in said
 
 
 @pytest.mark.breadth
@@ -485,13 +465,6 @@ def test_a_folder_alone_is_an_overview(runs, tmp_path, capsys):
     """`pgfmd plot DIR` draws `pgfmd plot overview DIR`."""
     assert figures.main([str(runs["kept"]), "--output", str(tmp_path)]) == 0
     assert (tmp_path / "overview.png").stat().st_size > 0
-
-
-def test_a_folder_that_is_not_there_is_named(tmp_path, capsys):
-    """Exit code 2 and one line: the word is neither a folder nor a figure."""
-    assert figures.main([str(tmp_path / "typo")]) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1 and "typo': neither a folder nor a figure" in said
 
 
 def test_every_folder_is_installed():
