@@ -6,7 +6,7 @@ import shutil
 
 import numpy as np
 import pytest
-from conftest import ROOT, python
+from conftest import python
 from job_texts import EVERY_OBSERVABLE, rough_job
 
 from pgfmd.application.results import Results
@@ -83,11 +83,6 @@ def test_the_package_lists_its_public_names():
     import pgfmd
 
     assert set(pgfmd.__all__) <= set(dir(pgfmd)) and {"solve", "run", "Results"} <= set(pgfmd.__all__)
-
-
-def test_package_says_that_it_is_typed():
-    """Type checkers use the annotations of an installed package only if it has py.typed (PEP 561)."""
-    assert (ROOT / "pgfmd" / "py.typed").exists()
 
 
 @pytest.mark.parametrize("size", ["SLURM_STEP_NUM_TASKS", "PMI_SIZE"])

@@ -105,9 +105,9 @@ def test_the_tutorial_is_typed_as_it_stands(tmp_path):
     assert len(Results(folder / "results" / "loads")) == 7
 
 
-def test_there_are_twenty():
-    """No task is lost."""
-    assert len(TASKS) == 20
+def test_there_are_twenty_tasks_and_two_examples():
+    """None is lost."""
+    assert len(TASKS) == 20 and len(EXAMPLES) >= 2
 
 
 def test_the_same_problem_in_three_programs():
@@ -214,11 +214,6 @@ def test_examples_give_what_they_say(name, tmp_path, monkeypatch):
 
 EXAMPLES = sorted((ROOT / "jobs" / "examples").glob("*.py"))
 ENVIRONMENT = dict(os.environ, PYTHONPATH=str(ROOT), MPLBACKEND="Agg")
-
-
-def test_there_are_two():
-    """None is lost."""
-    assert len(EXAMPLES) >= 2
 
 
 @pytest.mark.breadth

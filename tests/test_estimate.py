@@ -46,31 +46,6 @@ found = comm.gather(peak())
 if comm.rank == 0:
     print(max(found))
 """
-WITHIN = 0.15  # what `check` promises
-
-
-def measured(mpirun, tmp_path, text: str, ranks: int) -> float:
-    """The largest peak of the resident memory of a rank, in a whole run: surface, solve, write."""
-    script, path = tmp_path / "measure.py", tmp_path / "job.toml"
-    script.write_text(MEASURE)
-    path.write_text(text)
-    environment = dict(os.environ) | {"OMP_NUM_THREADS": "1"}
-    for attempt in range(2):  # the first may compile, whose memory counts until it is cached
-        done = mpirun(ranks, script, path, tmp_path / f"out {attempt}", timeout=900, env=environment)
-        assert done.returncode == 0, done.stderr
-    return float(done.stdout.split()[-1])
-
-
-LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads the peak of the memory from /proc")
-
-
-@LINUX
-@pytest.mark.parametrize(("n", "ranks"), broad(itertools.product((1024, 2048), (1, 2, 4))))
-def test_memory_is_predicted(mpirun, tmp_path, n, ranks):
-    """The peak of a rank's memory, all libraries included, is within 15 % of what `check` says."""
-    text = text_of(n, 0.0032, {})
-    expected = estimate.Plan(job.parse(text)).estimate(ranks).memory
-    assert measured(mpirun, tmp_path, text, ranks) == pytest.approx(expected, rel=WITHIN)
 
 
 def sphere_text(n: int, radius: float) -> str:
@@ -79,6 +54,48 @@ def sphere_text(n: int, radius: float) -> str:
     load = {"pressure": [radius**3 / 3]}
     tables = {"grid": {"n": n, "boundary": "open"}, "surface": surface, "load": load, "solid": {"contact_modulus": 1.0}}
     return job.tables_as_toml(tables | {"output": {"fields": ["pressure"]}})
+
+
+def with_observable(name: str, **options) -> str:
+    """A job that measures it, at a tenth of the area and a gap that percolates."""
+    surface, output = {"lambda_s": 8.0, "rms_slope": 0.1}, {"observables": [name], name: options}
+    solid = {"contact_modulus": 1.0, "poisson": 0.3}
+    return rough_job(1024, surface, solid=solid, load={"pressure": [0.006]}, output=output)
+
+
+ADHESIVE = {"kind": "adhesive", "work": 0.0002, "range": 0.05}
+MEMORY = {  # job and ranks; of spheres it is predicted from a contact on coarse grids
+    **{f"{n} points a side, {ranks} ranks": (text_of(n, 0.0032, {}), ranks)
+       for n, ranks in itertools.product((1024, 2048), (1, 2, 4))},
+    **{f"sphere, {n}, {radius}": (sphere_text(n, radius), 1) for n, radius in ((1024, 0.2), (2048, 0.05), (2048, 0.2))},
+    **{f"pressure {pressure}": (text_of(1024, pressure, {}), 1) for pressure in (0.012, 0.04)},
+    "gfmd": (text_of(1024, 0.0032, {}, method="gfmd"), 1),
+    "mpi4py-fft": (text_of(1024, 0.0032, {}, transform="mpi4py-fft"), 1),
+    "float32": (text_of(1024, 0.012, {}, storage="float32"), 1),
+    "exponential": (text_of(1024, 0.0032, {"kind": "exponential", "zeta": 0.25}), 1),
+    "adhesive": (text_of(1024, 0.0032, ADHESIVE), 1),
+    **{name: (with_observable(name), 1) for name in ("stiffness", "percolation", "leakage", "subsurface")},
+    "partial slip": (with_observable("partial_slip", friction=0.3), 1),
+    **{f"area {area}": (text_of(2048, 0.01, {}).replace("pressure = [0.01]", f"contact_area = {area}"), 1)
+       for area in (0.05, 0.5)},
+}  # fmt: skip
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads the peak of the memory from /proc")
+@pytest.mark.parametrize("case", broad(MEMORY))
+def test_memory_is_predicted(mpirun, tmp_path, case):
+    """The peak of a rank's resident memory in a run, all libraries included, is within 15 % of what `check` says."""
+    text, ranks = MEMORY[case]
+    plan = estimate.explored if "sphere" in case else estimate.Plan
+    script, path = tmp_path / "measure.py", tmp_path / "job.toml"
+    script.write_text(MEASURE)
+    path.write_text(text)
+    environment = dict(os.environ) | {"OMP_NUM_THREADS": "1"}
+    for attempt in range(2):  # the first may compile, whose memory counts until it is cached
+        done = mpirun(ranks, script, path, tmp_path / f"out {attempt}", timeout=900, env=environment)
+        assert done.returncode == 0, done.stderr
+    expected = plan(job.parse(text)).estimate(ranks).memory
+    assert float(done.stdout.split()[-1]) == pytest.approx(expected, rel=0.15)
 
 
 @pytest.mark.parametrize("radius", [0.05, 0.2, 0.4])
@@ -92,16 +109,6 @@ def test_contacts_of_bodies_are_explored(radius):
     assert found.part == pytest.approx(min((2 * np.sqrt(2 * cropping.MARGIN) * radius) ** 2, 1), rel=0.15)
     assert (plan.bytes_per_point() < 0.9 * unknown.bytes_per_point()) == (found.part < 0.5)
     assert estimate.WORTH == cropping.WORTH
-
-
-@pytest.mark.breadth
-@LINUX
-@pytest.mark.parametrize(("n", "radius"), [(1024, 0.2), (2048, 0.05), (2048, 0.2)])
-def test_memory_of_open_bodies(mpirun, tmp_path, n, radius):
-    """So it is for contacts that are solved on a rectangle."""
-    asked = job.parse(sphere_text(n, radius))
-    expected = estimate.explored(asked).estimate(1).memory
-    assert measured(mpirun, tmp_path, sphere_text(n, radius), 1) == pytest.approx(expected, rel=WITHIN)
 
 
 def test_nodes_hold_what_their_ranks_hold():
@@ -140,47 +147,6 @@ def test_time_of_sticky_contacts():
     assert 2 * seconds(0.1) < seconds(3.0) == seconds(3.0, accuracy=0.02)
     assert seconds(3.0, count=2) < seconds(3.0, accuracy=0.02, count=2)
     assert seconds(3.0, "mean_gap") == seconds(3.0)
-
-
-@pytest.mark.breadth
-@LINUX
-@pytest.mark.parametrize(("wall", "pressure", "solver"), [
-    ({}, 0.012, {}),
-    ({}, 0.04, {}),
-    ({}, 0.0032, {"method": "gfmd"}),
-    ({}, 0.0032, {"transform": "mpi4py-fft"}),
-    ({}, 0.012, {"storage": "float32"}),
-    ({"kind": "exponential", "zeta": 0.25}, 0.0032, {}),
-    ({"kind": "adhesive", "work": 0.0002, "range": 0.05}, 0.0032, {}),
-])  # fmt: skip
-def test_memory_of_methods(mpirun, tmp_path, wall, pressure, solver):
-    """So it is with other walls, contact areas, methods and transforms."""
-    text = text_of(1024, pressure, wall, **solver)
-    expected = estimate.Plan(job.parse(text)).estimate(1).memory
-    assert measured(mpirun, tmp_path, text, 1) == pytest.approx(expected, rel=WITHIN)
-
-
-@pytest.mark.breadth
-@LINUX
-@pytest.mark.parametrize("name", ["stiffness", "percolation", "leakage", "partial_slip", "subsurface"])
-def test_memory_of_observables(mpirun, tmp_path, name):
-    """So it is with what follows from a contact, at a tenth of the area and a gap that percolates."""
-    options = {"partial_slip": {"friction": 0.3}}
-    surface, output = {"lambda_s": 8.0, "rms_slope": 0.1}, {"observables": [name], name: options.get(name, {})}
-    solid = {"contact_modulus": 1.0, "poisson": 0.3}
-    text = rough_job(1024, surface, solid=solid, load={"pressure": [0.006]}, output=output)
-    expected = estimate.Plan(job.parse(text)).estimate(1).memory
-    assert measured(mpirun, tmp_path, text, 1) == pytest.approx(expected, rel=WITHIN)
-
-
-@pytest.mark.breadth
-@LINUX
-@pytest.mark.parametrize("area", [0.05, 0.5])
-def test_memory_of_searches(mpirun, tmp_path, area):
-    """So it is where an area is searched: of the last solution only what may start the next is kept."""
-    text = text_of(2048, 0.01, {}).replace("pressure = [0.01]", f"contact_area = {area}")
-    expected = estimate.Plan(job.parse(text)).estimate(1).memory
-    assert measured(mpirun, tmp_path, text, 1) == pytest.approx(expected, rel=WITHIN)
 
 
 @pytest.mark.parametrize("pressure", [0.001, 0.01, 0.03])

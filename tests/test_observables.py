@@ -27,7 +27,6 @@ from pgfmd.physics.laws.exponential_law import ExponentialWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
 from pgfmd.solvers.dispatch import solve_contact
-from pgfmd.surfaces.rigid_surface import coordinates
 from pgfmd.surfaces.self_affine import self_affine
 from pgfmd.surfaces.sinusoid import sinusoid
 from pgfmd.theory import persson
@@ -102,7 +101,8 @@ def test_spectra_are_brute_force_sums(comm, shape, lengths, bins):
 @CASES
 @pytest.mark.parametrize("bins", [("log", 20), ("linear", 3)])
 def test_autocorrelations_are_brute_force_means(comm, shape, lengths, bins):
-    """C(Δr) = ⟨f(r) f(r + Δr)⟩, averaged over rings of Δr and along both axes; rounding only."""
+    """C(Δr) = ⟨f(r) f(r + Δr)⟩, averaged over rings of Δr and along both axes; C(0), the mean square, in a bin of its
+    own; rounding only."""
     found = observe(comm, shape, lengths, acf={"spacing": bins[0], "bins": bins[1]})
     heights, pressure = fields(shape)
     place = rowblocks.distances(shape, lengths)
@@ -113,23 +113,12 @@ def test_autocorrelations_are_brute_force_means(comm, shape, lengths, bins):
         rings = ring_means(group["edges"], place, expected)
         got = np.transpose([group[key] for key in ("r", "value", "count")])
         np.testing.assert_allclose(got, rings, rtol=1e-12, atol=1e-13)
+        assert got[0].tolist() == [0, pytest.approx(np.mean(field**2), rel=1e-13, abs=0), 1]
         for axis, (label, line) in enumerate({"x": expected[:, 0], "y": expected[0]}.items()):
             lags = np.arange(shape[axis] // 2 + 1)
             np.testing.assert_allclose(found[f"{name}_acf_{label}"]["value"], line[lags], rtol=1e-12, atol=1e-13)
             step = lengths[axis] / shape[axis]
             np.testing.assert_allclose(found[f"{name}_acf_{label}"]["r"], lags * step, rtol=1e-15)
-
-
-@CASES
-def test_zero_lag_of_the_autocorrelations(comm, shape, lengths):
-    """C_σ(0) = f_c⟨σ²⟩_c and C_c(0) = f_c, each in a bin of its own; rounding only."""
-    found = observe(comm, shape, lengths)
-    pressure = fields(shape)[1]
-    contact = pressure[pressure > 0]
-    fraction = contact.size / pressure.size
-    assert found["stress_acf"]["count"][0] == found["contact_acf"]["count"][0] == 1
-    assert found["stress_acf"]["value"][0] == pytest.approx(fraction * np.mean(contact**2), rel=1e-13, abs=0)
-    assert found["contact_acf"]["value"][0] == pytest.approx(fraction, rel=1e-13, abs=0)
 
 
 def sum_rule_residuals(grid, pressure):
@@ -257,14 +246,6 @@ def test_area_counts_pixels_and_edges(comm, shape, lengths):
     assert area.corrected == area.fraction == mask.mean() and area.perimeter == area.edge_length
     perimeters = observe(comm, shape, lengths, ("patches",))["patches"]["perimeter"]
     assert perimeters.sum() == pytest.approx(area.edge_length, rel=1e-14, abs=0)
-
-
-def test_edges_of_a_disc(comm):
-    """The pixel edges of a convex patch have the length of the box around it, 8 r for a disc, to a spacing a side."""
-    grid = SlabGrid(comm, (200, 200), (1.0, 1.0))
-    x, y = coordinates(grid)
-    area = contact_area(grid, np.maximum(0.3**2 - (x - 0.5) ** 2 - (y - 0.5) ** 2, 0.0), None)
-    assert area.edge_length == pytest.approx(8 * 0.3, abs=8 / 200)
 
 
 def test_row(comm):

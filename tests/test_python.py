@@ -147,12 +147,6 @@ def test_wrong_loads_and_walls_are_refused(comm, heights, arguments, message):
     assert "\n" not in str(caught.value)
 
 
-def test_any_wall_of_a_job_can_be_given(comm, heights):
-    """wall={…} as in [wall]: no pressure exceeds the hardness."""
-    contact = pgfmd.solve(heights, 0.05, wall={"kind": "hardness", "hardness": 0.1}, comm=comm)
-    assert contact.pressure.max(initial=0) <= 0.1
-
-
 @pytest.mark.parametrize("observable", ["spectrum", "Spectra"])
 def test_unknown_observables_are_refused(comm, heights, observable):
     """The name, and the nearest that is known."""

@@ -681,10 +681,8 @@ def _written(node) -> str:
     return f"<{node.tag}>{' '.join(inner)}</{node.tag}>" if shown else "".join(inner)
 
 
-def test_jobs_and_claims_of_the_paper_are_valid():
-    """Every job of the paper parses; its 27 claims refer to figures that exist, drawn by tools that exist."""
-    for path in sorted((ROOT / "jobs" / "paper").glob("*.toml")):
-        config.load(path)
+def test_claims_of_the_paper_are_valid():
+    """The 27 claims refer to figures that exist, drawn by tools that exist."""
     plan = report.read_figures(PAPER / "claims.toml")
     assert {figure.tool for figure in plan} <= set(figures.FIGURES)
     asked, _ = claims.read(PAPER / "claims.toml", {figure.key for figure in plan})
