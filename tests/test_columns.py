@@ -20,7 +20,6 @@ from pgfmd.application.files import Form
 from pgfmd.application.info import as_csv, summary
 from pgfmd.application.machine import Origin
 from pgfmd.application.results import Results
-from pgfmd.application.simulate import simulate
 from pgfmd.application.writer import ResultWriter
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.contact import Contact
@@ -170,14 +169,6 @@ def test_means_say_over_how_many_seeds(comm, shared_tmp_path):
     assert first.count(f"({finite[0]})") == 1 and "(" not in second
 
 
-SPECTRUM_JOB = rough_job(
-    [24, 18],
-    {"lambda_s": 4.0},
-    load={"pressure": [0.01]},
-    output={"fields": ["gap"], "observables": ["gap_spectrum"], "gap_spectrum": {"bins": 7, "all_modes": True}},
-)
-
-
 def measure_gap(comm, gap, **options):
     """The spectrum of a whole gap (nx, ny), on every rank, on a surface that has modes up to 1.5."""
     grid = SlabGrid(comm, gap.shape)
@@ -207,12 +198,3 @@ def test_one_wave(comm):
     assert found["value"][place] * found["count"][place] == pytest.approx(2 * 0.8**2 / 4, rel=1e-12, abs=0)
     assert np.delete(found["value"], place) == pytest.approx(0, abs=1e-28)
     assert found["edges"][-1] == pytest.approx(1.5, rel=1e-8, abs=0)
-
-
-def test_in_a_run(comm, shared_tmp_path):
-    """Asked for in a job, it is in the file with its unit, and is that of the gap which the run wrote."""
-    simulate(job.parse(SPECTRUM_JOB), comm, shared_tmp_path / "out")
-    comm.Barrier()
-    results = Results(shared_tmp_path / "out")
-    found, gap = results.load(0)["gap_spectrum"], results.field("gap", 0)
-    assert np.sum(found["count"] * found["value"]) == pytest.approx(gap.var(), rel=1e-11, abs=0)

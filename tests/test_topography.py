@@ -26,14 +26,6 @@ def modes(grid, heights):
     return np.abs(grid.forward(heights) / grid.size) ** 2, np.sqrt(grid.q_squared())
 
 
-@pytest.mark.parametrize("shape", [(64, 64), (45, 64), (37, 41)])
-def test_slope_is_exact(comm, shape):
-    """√Σ q²|h̃|² is the rms slope asked for, to rounding."""
-    grid = SlabGrid(comm, shape, (shape[0] * 0.5, shape[1] * 2.0))
-    power, q = modes(grid, self_affine(grid, 0.7, 1.0, 0.031, 3))
-    assert np.sqrt(grid.reduction.sum(grid.hermitian_weight * q**2 * power)) == pytest.approx(0.031, rel=1e-12, abs=0)
-
-
 def test_modes_lie_between_the_cut_offs(comm):
     """No power below 2π/λ_l or above 2π/λ_s; λ_s = a keeps every mode, corners included."""
     grid = SlabGrid(comm, (64, 64))
@@ -157,12 +149,6 @@ def test_same_surface_on_a_finer_grid(comm):
             assert np.abs(found - expected).max() < 1e-12 * np.abs(expected).max()
 
 
-def test_an_empty_band_is_refused(comm):
-    """No mode between the cut-offs: an error on all ranks, not a flat surface."""
-    with pytest.raises(InputError, match="no mode"):
-        self_affine(SlabGrid(comm, (16, 16)), 0.5, 12.0, 1.0, 1, lambda_l=13.0)
-
-
 def test_simple_shapes(comm):
     """Sinusoids have their amplitude at the origin, the paraboloid its curvature about the centre."""
     grid = SlabGrid(comm, (16, 12), (8.0, 6.0))
@@ -229,6 +215,6 @@ def test_any_options_on_any_grid(comm, seed):
         return
     power, _ = modes(grid, surface.heights(grid))
     slope = np.sqrt(grid.reduction.sum(grid.hermitian_weight * q**2 * power))
-    assert slope == pytest.approx(options["rms_slope"], rel=1e-11, abs=0)
+    assert slope == pytest.approx(options["rms_slope"], rel=1e-12, abs=0)
     outside |= q > (surface.cutoff(cell) or np.inf) * (1 + 1e-6)
     assert grid.reduction.max(power[outside]) <= 1e-25 * grid.reduction.max(power)
