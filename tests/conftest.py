@@ -22,6 +22,7 @@ import pytest
 from pgfmd.parallel.mpi import world
 
 ROOT = Path(__file__).resolve().parent.parent
+sys.path += [str(ROOT / "tools" / folder) for folder in ("plots", "paper", "bench", "docs")]  # for tests of tools
 
 WORLD = world()  # this process alone where there is no MPI
 SIZE = WORLD.size

@@ -6,11 +6,9 @@ import os
 import subprocess
 import sys
 
+import acceptance
 import pytest
 from conftest import ROOT, starts_mpirun
-
-sys.path.insert(0, str(ROOT / "tools" / "bench"))
-import acceptance  # noqa: E402
 
 
 @starts_mpirun

@@ -1,13 +1,10 @@
 """Adhesive contacts: exact solutions, dense problems, branches, what is said of a state."""
 
-from __future__ import annotations
-
 import math
-import sys
 
+import adhesion as bench
 import numpy as np
 import pytest
-from conftest import ROOT
 
 import pgfmd
 from pgfmd.grid.domain import OPEN, PERIODIC
@@ -22,9 +19,6 @@ from pgfmd.solvers.adhesive_certificate import LARGEST, estimated, is_m_matrix, 
 from pgfmd.solvers.adhesive_model import Hold
 from pgfmd.solvers.options import Load
 from pgfmd.theory import adhesion
-
-sys.path.insert(0, str(ROOT / "tools" / "bench"))
-import adhesion as bench  # noqa: E402
 
 MORSE = "0.2 * (exp(-4 * (gap - 1)) - exp(-2 * (gap - 1)))"
 LAWS = {

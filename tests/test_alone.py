@@ -1,7 +1,5 @@
 """One process without MPI: the same results, and `mpirun` can still be started from it."""
 
-from __future__ import annotations
-
 import shutil
 
 import numpy as np

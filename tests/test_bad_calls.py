@@ -1,7 +1,5 @@
 """Arguments of `pgfmd.solve`, anything for anything: an answer, or one line, on all ranks together."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Iterator

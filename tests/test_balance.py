@@ -1,7 +1,5 @@
 """A contact moved along x, so that slabs hold equally much of it."""
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The bearing area: exact selection of its height, and the theory of Gaussian surfaces."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from contacts import solution_of, under_hard_wall

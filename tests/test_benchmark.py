@@ -5,19 +5,16 @@ import os
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT / "tools" / "bench"))
-from benchmarks import ratios, total_error, worker  # noqa: E402
-from benchmarks import recorder as recording  # noqa: E402
-from benchmarks.case import Case  # noqa: E402
-from benchmarks.cores import PLAN as CORES  # noqa: E402
-from benchmarks.recorder import EnoughError, Recorder  # noqa: E402
+from benchmarks import ratios, total_error, worker
+from benchmarks import recorder as recording
+from benchmarks.case import Case
+from benchmarks.cores import PLAN as CORES
+from benchmarks.recorder import EnoughError, Recorder
+from conftest import ROOT
 
 
 @pytest.fixture

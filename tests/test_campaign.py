@@ -1,19 +1,15 @@
 """Random jobs against the slow reference, the quick version of tools/bench/campaign.py; and the judge itself."""
 
-from __future__ import annotations
-
 import dataclasses
-import sys
 from collections import Counter
 
 import numpy as np
 import pytest
-from conftest import ROOT, SIZE, broad
+from conftest import SIZE, broad
 
 pytest.importorskip("mpi4py")
 if np.finfo(np.longdouble).eps > 1e-18:
     pytest.skip("the reference needs extended precision", allow_module_level=True)
-sys.path.insert(0, str(ROOT / "tools" / "bench"))
 
 from campaigns import random_case as cases  # noqa: E402
 from campaigns import running, walls  # noqa: E402

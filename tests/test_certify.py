@@ -1,7 +1,5 @@
 """The certificate of anybody's pressure: against the dense reference, on all ranks, and from the command line."""
 
-from __future__ import annotations
-
 import json
 import math
 

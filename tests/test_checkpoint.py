@@ -1,7 +1,5 @@
 """Checkpoints and checksums: what is saved is what is loaded, on any rank count; what is damaged is not used."""
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import shutil

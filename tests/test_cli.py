@@ -3,8 +3,6 @@
 The run itself is replaced by a stand-in that writes known fields: what is tested is how a run is started and ended.
 """
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Many ranks on few cores, messages over TCP, two hosts, batch scripts with stand-ins for the batch system."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

@@ -1,7 +1,5 @@
 """Errors of one rank that all ranks raise."""
 
-from __future__ import annotations
-
 import pytest
 
 from pgfmd.errors import InputError, SolverError, Uncertifiable, Unreachable

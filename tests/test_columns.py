@@ -3,8 +3,6 @@
 The spectrum of the gap: its sum rule, its modes, its place in the job and in the files.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The job file: what is allowed, what is refused and in which words; nothing is lost on the way to Python and back."""
 
-from __future__ import annotations
-
 import json
 import math
 import string

@@ -1,7 +1,5 @@
 """The contact line between pixels, against contacts whose line is known exactly: waves, discs, and their symmetries."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The error bar of the grid, against finer grids and its own definition."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

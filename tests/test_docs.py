@@ -1,7 +1,5 @@
 """The documentation: its pages, the examples in docstrings, and those in `jobs/examples/` as scripts and notebooks."""
 
-from __future__ import annotations
-
 import doctest
 import importlib
 import inspect
@@ -12,6 +10,8 @@ import subprocess
 import sys
 from dataclasses import fields
 
+import generated
+import notebooks
 import numpy as np
 import pytest
 from conftest import ROOT
@@ -22,10 +22,6 @@ from pgfmd.application.job import SECTIONS
 from pgfmd.application.results import Results
 from pgfmd.observables.observable_kinds import LAYOUT
 from pgfmd.observables.schema import FIELDS, LOADS, TABLE
-
-sys.path.insert(0, str(ROOT / "tools" / "docs"))
-import generated  # noqa: E402
-import notebooks  # noqa: E402
 
 PAGES = ROOT / "tools" / "docs" / "pages"
 TASKS = re.split(r"^## ", (PAGES / "tasks.md").read_text(), flags=re.MULTILINE)[1:]

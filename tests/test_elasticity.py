@@ -1,7 +1,5 @@
 """Stiffness of half-space and slabs against a direct solution of plane-strain elasticity, and its limits."""
 
-from __future__ import annotations
-
 import logging
 import math
 from decimal import Decimal, localcontext

@@ -1,7 +1,5 @@
 """Ensembles: many surfaces in one job, each as if it had been run alone."""
 
-from __future__ import annotations
-
 import json
 import math
 import weakref

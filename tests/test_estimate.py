@@ -1,7 +1,5 @@
 """What `check` predicts, against what a run takes."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import re

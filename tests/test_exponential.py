@@ -1,7 +1,5 @@
 """The exponential wall: field theory, limits, exact relations, and its certificate."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

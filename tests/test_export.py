@@ -1,7 +1,5 @@
 """What is made of results: files of other programs, `pgfmd compare` and `pgfmd cite`."""
 
-from __future__ import annotations
-
 import json
 import math
 

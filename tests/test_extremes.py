@@ -1,8 +1,6 @@
 """Quick versions of tools/bench/: extremes, and from a load to an area, gap or displacement and back, whose judges are
 not to be fooled; the model of many ranks, and one rank's share of them."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import subprocess
@@ -17,7 +15,6 @@ import pgfmd
 from pgfmd.solvers.solution import Certificate
 
 pytest.importorskip("mpi4py")
-sys.path.insert(0, str(ROOT / "tools" / "bench"))
 
 import extremes  # noqa: E402
 import round_trips  # noqa: E402

@@ -1,7 +1,5 @@
 """Disks that fill up, folders that vanish, ranks that fail: a clear error soon, and what was complete stays good."""
 
-from __future__ import annotations
-
 import os
 import random
 import subprocess

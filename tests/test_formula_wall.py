@@ -1,7 +1,5 @@
 """A wall whose pressure is a formula of the gap: against the built-in exponential wall, brute force, and its limits."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

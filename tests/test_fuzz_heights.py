@@ -1,11 +1,10 @@
 """Height files that are damaged in any way: heights or one line, never a traceback, a crash, or a hang."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections import Counter
 
+import campaign_heights
 import h5py
 import numpy as np
 import pytest
@@ -14,9 +13,6 @@ from job_texts import SOLID
 
 from pgfmd.errors import InputError
 from pgfmd.surfaces.file import FromFile
-
-sys.path.insert(0, str(ROOT / "tools" / "bench"))
-import campaign_heights  # noqa: E402
 
 SHAPE = (12, 10)
 SAID = "cannot be read as heights (.npy or HDF5), perhaps truncated: "

@@ -1,7 +1,5 @@
 """Molecular dynamics of the displacement: the same contact as the default solvers, and as the exact solutions."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A process that imports the package, and calls it, stays as it was."""
 
-from __future__ import annotations
-
 import ast
 import gc
 import multiprocessing

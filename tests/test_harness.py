@@ -1,7 +1,5 @@
 """The test harness itself: what fails on one rank fails on all, at once and with a message."""
 
-from __future__ import annotations
-
 import pytest
 from conftest import ROOT, SIZE
 

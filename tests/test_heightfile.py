@@ -1,7 +1,5 @@
 """Heights from files: what is read, how it is made periodic, and instruments' formats with their size and unit."""
 
-from __future__ import annotations
-
 import hashlib
 import logging
 import re

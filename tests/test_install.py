@@ -1,7 +1,5 @@
 """The package as pip installs it: what a wheel holds, and a fresh environment without root, compiler or system MPI."""
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import json
@@ -182,8 +180,7 @@ def test_old_python_is_named(tmp_path):
     assert "Python 3.9.2" in done.stderr and "3.11 or newer" in done.stderr
 
 
-TOP = Path(__file__).resolve().parents[1]
-PROJECT = tomllib.loads((TOP / "pyproject.toml").read_text())["project"]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
 
 def test_the_version_is_the_same_everywhere():
@@ -191,18 +188,18 @@ def test_the_version_is_the_same_everywhere():
     version = PROJECT["version"]
     assert pgfmd.__version__ == version
     for name in ("tools/release/codemeta.json", ".zenodo.json"):
-        assert json.loads((TOP / name).read_text())["version"] == version
+        assert json.loads((ROOT / name).read_text())["version"] == version
     for name, pattern in (
         ("CITATION.cff", rf"^version: {version}$"),
         ("tools/release/conda/recipe.yaml", rf'version: "{version}"'),
         ("tools/release/spack/package.py", rf'version\("{version}"\)'),
     ):
-        assert re.search(pattern, (TOP / name).read_text(), re.MULTILINE), name
+        assert re.search(pattern, (ROOT / name).read_text(), re.MULTILINE), name
 
 
 def test_recipes_require_what_the_package_requires():
     """Each dependency stands in the conda and the Spack recipe and in codemeta."""
-    folder = TOP / "tools/release"
+    folder = ROOT / "tools/release"
     texts = [(folder / name).read_text() for name in ("conda/recipe.yaml", "spack/package.py", "codemeta.json")]
     for requirement in PROJECT["dependencies"]:
         name = re.match(r"[\w-]+", requirement).group()
@@ -211,14 +208,14 @@ def test_recipes_require_what_the_package_requires():
 
 def test_the_paper_cites_what_its_bibliography_has():
     """Each @key of paper.md is an entry of paper.bib, and the other way round."""
-    folder = TOP / "tools/release"
+    folder = ROOT / "tools/release"
     cited = set(re.findall(r"@([A-Z][a-zA-Z]+\d{4})", (folder / "paper.md").read_text()))
     assert cited == set(re.findall(r"^@article\{(\w+),", (folder / "paper.bib").read_text(), re.MULTILINE))
 
 
 def test_the_package_page_has_nothing_relative():
     """No picture and no link that the package page could not follow."""
-    text = (TOP / "tools/release/package.md").read_text()
+    text = (ROOT / "tools/release/package.md").read_text()
     assert not re.search(r"\]\((?!https://)", text)
 
 
@@ -248,13 +245,12 @@ def test_outside_of_the_set_is_refused(asked):
 
 def test_the_table_is_the_one_that_its_description_names():
     """The checksum in jobs/reference/reference.json is that of the table in the package."""
-    about = json.loads((TOP / "jobs/reference/reference.json").read_text())
-    assert hashlib.sha256((TOP / "pgfmd/theory/reference.csv").read_bytes()).hexdigest() == about["sha256"]
+    about = json.loads((ROOT / "jobs/reference/reference.json").read_text())
+    assert hashlib.sha256((ROOT / "pgfmd/theory/reference.csv").read_bytes()).hexdigest() == about["sha256"]
 
 
 def test_the_table_is_made_from_the_runs(tmp_path, capsys):
     """Means over the surfaces in units of slope and cell; the finer grid beside; no runs are refused."""
-    sys.path.insert(0, str(TOP / "tools" / "bench"))
     import reference_table
 
     rough = {"kind": "self-affine", "hurst": 0.8, "lambda_s": 8.0, "lambda_r": 64.0, "rms_slope": 0.1}
@@ -278,8 +274,8 @@ def test_the_table_is_made_from_the_runs(tmp_path, capsys):
 def test_the_reference_set_as_netcdf(tmp_path):
     """Every number of the table, exactly, with a unit and a meaning; xarray and netCDF4 read it."""
     xarray, netcdf4 = pytest.importorskip("xarray"), pytest.importorskip("netCDF4")
-    subprocess.run([sys.executable, TOP / "tools/release/netcdf.py", tmp_path], check=True, stdout=subprocess.DEVNULL)
-    with open(TOP / "pgfmd/theory/reference.csv", encoding="utf-8") as file:
+    subprocess.run([sys.executable, ROOT / "tools/release/netcdf.py", tmp_path], check=True, stdout=subprocess.DEVNULL)
+    with open(ROOT / "pgfmd/theory/reference.csv", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     with xarray.open_dataset(tmp_path / "reference.nc", engine="h5netcdf") as found:
         assert list(found.data_vars) == list(rows[0])

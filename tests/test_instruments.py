@@ -1,10 +1,7 @@
 """From an instrument's file to an answer: what the file says need not be typed, what is typed is compared."""
 
-from __future__ import annotations
-
 import gzip
 import logging
-import sys
 import tomllib
 import zipfile
 
@@ -212,7 +209,6 @@ def test_a_folder_of_instruments_files(tmp_path, capsys):
     """Each file that SurfaceTopography reads is solved from path, modulus and load, also packed, with the package's
     heights, size and unit, which the export and the page of figures keep; other files do not count."""
     pytest.importorskip("SurfaceTopography", reason="tools/setup.sh test")
-    sys.path.insert(0, str(ROOT / "tools" / "bench"))
     import instrument_files
 
     (tmp_path / "a.sdf").write_bytes(SDF.read_bytes())

@@ -1,7 +1,5 @@
 """Runs that are killed at random moments, and go on."""
 
-from __future__ import annotations
-
 import contextlib
 import random
 import shutil

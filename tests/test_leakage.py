@@ -1,7 +1,5 @@
 """Flow through the gap: exact profiles, duality, bounds against a direct solution, balance, runs."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Transforms by mpi4py-fft give what the blocked ones give."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from conftest import python

@@ -1,7 +1,5 @@
 """Loads from a single pixel, and from 1e-100, to full contact, against the slow reference."""
 
-from __future__ import annotations
-
 import math
 import warnings
 

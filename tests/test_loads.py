@@ -1,7 +1,5 @@
 """Loads found from a contact area, a mean gap or a displacement."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Measured surfaces as people have them: text, spreadsheets, images, tilt and curvature, edges that do not match."""
 
-from __future__ import annotations
-
 import logging
 
 import numpy as np

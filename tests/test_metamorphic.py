@@ -1,7 +1,5 @@
 """What must not change the answer: units, position, direction, tiling, order; for all walls, solids, and controls."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import signal

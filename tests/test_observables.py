@@ -1,7 +1,5 @@
 """What is measured on a contact, against brute-force sums over whole fields, exact rules and known distributions."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import tracemalloc

@@ -1,7 +1,5 @@
 """How a run is handled: more loads, other kinds, numbers for other programs, a log beside the results, time left."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -1,7 +1,5 @@
 """Result folders: what was written is what is read, on any rank count, and nothing half-written ever looks whole."""
 
-from __future__ import annotations
-
 import errno
 import fcntl
 import os
@@ -164,7 +162,6 @@ def test_single_precision_never_loses_a_field(comm, shared_tmp_path, transport, 
     read = Results(shared_tmp_path / "out")
     assert np.abs(read.field("gap", 0) / field - 1)[field != 0].max() < (1e-7 if scale == 1e38 else 1e-15)
     assert read.field("pressure", 0).dtype == np.float32
-
 
 
 def test_long_job_text(comm, shared_tmp_path):
@@ -492,7 +489,6 @@ def test_format_1_is_not_continued(comm, shared_tmp_path):
     with writer(comm, shared_tmp_path, mode="overwrite") as result:
         write_load(result, 0)
     np.testing.assert_array_equal(Results(shared_tmp_path).field("pressure", 0), FIELD)
-
 
 
 def test_format_2_is_read(comm, shared_tmp_path):

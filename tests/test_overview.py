@@ -1,31 +1,24 @@
 """The overview page: tiles hold the field, patches are right, the page is whole and safe, and works in a browser."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil
-import sys
 from pathlib import Path
 
 import browser
+import figures
 import numpy as np
+import overview_charts
+import overview_page
+import patch_areas
+import pyramid
 import pytest
+import reading
 from job_texts import rough_job
 from scipy import ndimage
 
 import pgfmd
 from pgfmd.application.job import parse
-
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT / "tools" / "plots"))
-
-import figures  # noqa: E402
-import overview_charts  # noqa: E402
-import overview_page  # noqa: E402
-import patch_areas  # noqa: E402
-import pyramid  # noqa: E402
-import reading  # noqa: E402
 
 ALL = ["height", "pressure", "gap", "labels"], ["histogram", "spectra", "patches", "discretisation"]
 RUNS = {  # folder, fields, observables, wall

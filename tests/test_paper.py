@@ -4,8 +4,6 @@ of its claims and results.
 Shares no code with the tools: files are read with the csv module, fits are NumPy's.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 import math
@@ -17,13 +15,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import python
+from conftest import ROOT, python
 from job_texts import rough_job
 
 import pgfmd
 from pgfmd.application.job import parse
 
-ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "jobs" / "paper" / "results"
 pytestmark = pytest.mark.breadth
 ROUGH, KEPT = {"hurst": 0.5, "lambda_s": 4.0, "rms_slope": 0.031}, ["histogram", "spectra", "acf", "patches", "bearing"]

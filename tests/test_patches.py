@@ -1,7 +1,5 @@
 """The patch labeller and the patch table against a flood fill that unrolls the torus, and against SciPy."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Percolation of contact and gap around the periodic cell; the critical constriction against brute force."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from contacts import elastic

@@ -1,7 +1,5 @@
 """Laws, solids, surfaces and observables of a user's own file: in `solve`, in a run, on ranks, after a restart."""
 
-from __future__ import annotations
-
 import pickle
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """What is kept for later runs lies where nobody else can put anything; and a run does not need such a place."""
 
-from __future__ import annotations
-
 import errno
 import os
 import pickle

@@ -1,7 +1,5 @@
 """The Python interface: `pgfmd.solve`, `pgfmd.surface`, `pgfmd.run` and results, beside what jobs give."""
 
-from __future__ import annotations
-
 import math
 import tempfile
 

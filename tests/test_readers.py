@@ -4,8 +4,6 @@ h5grove (which serves h5web in JupyterLab) read every dataset.
 The grid is rectangular, with other spacings along x than along y, so that no axis can stand for another.
 """
 
-from __future__ import annotations
-
 import h5py
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """What the README says is what the program does."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 import shlex

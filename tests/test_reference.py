@@ -1,7 +1,5 @@
 """The slow reference itself, against exact solutions and by its own certificate."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

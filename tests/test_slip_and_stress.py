@@ -1,7 +1,5 @@
 """Partial slip: Cattaneo and Mindlin's sphere, rough contacts, a cycle's loss.  Stress below waves and spheres."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

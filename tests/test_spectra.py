@@ -1,7 +1,5 @@
 """Spectra, autocorrelations and their averages against explicit sums, point by point and mode by mode."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rough surfaces from a table of C(q): the convention of C, its interpolation, and what is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from conftest import once

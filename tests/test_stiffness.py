@@ -1,7 +1,5 @@
 """Stiffness of a contact that stays as it is: bounds against dense algebra, exact solutions, secants; conductance."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

@@ -1,7 +1,5 @@
 """Runs that are asked to stop: by a signal, a file, a clock.  They end at once, with 75, and go on with --restart."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

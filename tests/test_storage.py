@@ -1,7 +1,5 @@
 """Hard contacts whose heights, pressure and gap are stored in single precision."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from conftest import broad

@@ -1,7 +1,5 @@
 """What a reader may rely on in every file: few parameters, nothing written twice, imports that form no circle."""
 
-from __future__ import annotations
-
 import ast
 import io
 import keyword

@@ -1,7 +1,5 @@
 """Surfaces end to end: cells and pixels of any aspect, roll-off, a measured surface in SI units."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Theory curves against quadrature, differential equations, sampling and the integral equations that they solve."""
 
-from __future__ import annotations
-
 import pkgutil
 import re
 

@@ -1,7 +1,5 @@
 """The serial tools: fields in row blocks, fits, verdicts, and every figure made without MPI."""
 
-from __future__ import annotations
-
 import csv
 import os
 import re
@@ -15,35 +13,31 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import browser
+import choosing
+import claims
+import contact_patches
+import estimators
+import exponents
+import figures
+import leakage
 import numpy as np
+import plotting
 import pytest
-from conftest import broad, python
+import reading
+import report
+import rowblocks
+import runs as many_runs
+import samples
+import whole_fields
+from conftest import ROOT, broad, python
+from formulas import marked
 
 import pgfmd
 from pgfmd.application import job as config
 from pgfmd.application.results import Results
 from pgfmd.errors import InputError
 
-ROOT = Path(__file__).resolve().parent.parent
 PLOTS, PAPER = ROOT / "tools" / "plots", ROOT / "tools" / "paper"
-sys.path[:0] = [str(PLOTS), str(PAPER)]
-
-import choosing  # noqa: E402
-import claims  # noqa: E402
-import contact_patches  # noqa: E402
-import estimators  # noqa: E402
-import exponents  # noqa: E402
-import figures  # noqa: E402
-import leakage  # noqa: E402
-import plotting  # noqa: E402
-import reading  # noqa: E402
-import report  # noqa: E402
-import rowblocks  # noqa: E402
-import runs as many_runs  # noqa: E402
-import samples  # noqa: E402
-import whole_fields  # noqa: E402
-from formulas import marked  # noqa: E402
-
 ALL = ("histogram", "spectra", "acf", "patches", "bearing", "lowpass")
 FOLLOWING = {"percolation": ("gap",), "leakage": ("flux_x", "flux_y"), "partial_slip": ("traction", "pressure"),
              "subsurface": ("von_mises",)}  # fmt: skip

@@ -4,8 +4,6 @@ The kill is played: from a certain change of the folder on (a file put in place,
 removed) nothing is carried out any more, neither by the run nor by what cleans up after it.
 """
 
-from __future__ import annotations
-
 import os
 from contextlib import contextmanager
 

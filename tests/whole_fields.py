@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
+import rowblocks
 
 from pgfmd.observables import binning
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tools" / "plots"))
-import rowblocks  # noqa: E402
 
 
 def power_spectrum(field) -> np.ndarray:
