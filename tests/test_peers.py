@@ -2,6 +2,17 @@
 
 import numpy as np
 import pytest
+from contacts import elastic, under_hard_wall
+
+import pgfmd
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.physics.laws.hard import Hardness
+from pgfmd.physics.problem import ContactProblem
+from pgfmd.physics.solids import open_kernel
+from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
+from pgfmd.solvers.dispatch import solve_contact
+from pgfmd.solvers.options import Solver
+from pgfmd.surfaces.self_affine import self_affine
 
 N, PRESSURE, MODULUS = 256, 0.003, 8 / 3
 
@@ -9,15 +20,8 @@ N, PRESSURE, MODULUS = 256, 0.003, 8 / 3
 @pytest.fixture(scope="module", params=[(0.8, 16.0), (0.3, 1.0)], ids=["smooth", "rough"])
 def contact(request, comm):
     """Heights and our pressure (256, 256): self-affine, certified to 1e-15 of the energy, the pressure's square."""
-    from contacts import elastic, under_hard_wall
-
-    from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
-    from pgfmd.surfaces.self_affine import self_affine
-
-    hurst, lambda_s = request.param
     grid = SlabGrid(comm, (N, N))
-    heights = self_affine(grid, hurst, lambda_s, 0.031, 1)
+    heights = self_affine(grid, *request.param, 0.031, 1)
     return heights, solve_hard_wall(under_hard_wall(grid, heights, PRESSURE, elastic(MODULUS)), 1e-15).pressure
 
 
@@ -50,30 +54,26 @@ def test_aspher(contact):
     _agree(np.asarray(result.pressure).reshape(N, N), ours)
 
 
-def test_contact_mechanics(contact):
-    """ContactMechanics' constrained conjugate gradients at the same load."""
-    pytest.importorskip("ContactMechanics")
-    from ContactMechanics import PeriodicFFTElasticHalfSpace
+def _by_contact_mechanics(kind: str, heights: np.ndarray, *hardness: float) -> np.ndarray:
+    """The pressure on a square by ContactMechanics' constrained conjugate gradients, at the same load."""
+    package = pytest.importorskip("ContactMechanics")
     from ContactMechanics.Optimization import constrained_conjugate_gradients
 
+    n = len(heights)
+    substrate = getattr(package, kind)((n, n), MODULUS, (float(n), float(n)))
+    limits = {"pentol": 1e-12, "forcetol": 1e-12, "thermotol": 1e-13, "maxiter": 20_000}
+    found = constrained_conjugate_gradients(substrate, heights, *hardness, external_force=PRESSURE * n**2, **limits)
+    return np.asarray(found.jac)[:n, :n]
+
+
+def test_contact_mechanics(contact):
+    """ContactMechanics' constrained conjugate gradients."""
     heights, ours = contact
-    substrate = PeriodicFFTElasticHalfSpace((N, N), MODULUS, (float(N), float(N)))
-    result = constrained_conjugate_gradients(
-        substrate, heights, external_force=PRESSURE * N**2, pentol=1e-11, forcetol=1e-11, thermotol=1e-12
-    )
-    _agree(np.asarray(result.jac), ours)
+    _agree(_by_contact_mechanics("PeriodicFFTElasticHalfSpace", heights), ours)
 
 
 def test_an_open_patch_by_contact_mechanics(comm, monkeypatch):
     """With the kernel of uniform pixels (Love 1929), the pressure on a rough patch is that of its free half-space."""
-    pytest.importorskip("ContactMechanics")
-    from ContactMechanics import FreeFFTElasticHalfSpace
-    from ContactMechanics.Optimization import constrained_conjugate_gradients
-
-    import pgfmd
-    from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.physics.solids import open_kernel
-    from pgfmd.surfaces.self_affine import self_affine
 
     def love(x, y):
         corners = [(x + i, y + j, 4 * i * j) for i in (-0.5, 0.5) for j in (-0.5, 0.5)]
@@ -84,13 +84,9 @@ def test_an_open_patch_by_contact_mechanics(comm, monkeypatch):
         return open_kernel.cosine_transform(grid, lambda x, y: love(x / unit, y / unit) / unit)
 
     monkeypatch.setattr(open_kernel, "half_space_table", table)
-    n = 96
-    heights = self_affine(SlabGrid(comm, (n, n)), 0.8, 8.0, 0.031, 1)
+    heights = self_affine(SlabGrid(comm, (96, 96)), 0.8, 8.0, 0.031, 1)
     ours = pgfmd.solve(heights, PRESSURE, boundary="open", contact_modulus=MODULUS, tolerance=1e-16)
-    substrate = FreeFFTElasticHalfSpace((n, n), MODULUS, (float(n), float(n)))
-    limits = {"pentol": 1e-12, "forcetol": 1e-12, "thermotol": 1e-13, "maxiter": 20_000}
-    found = constrained_conjugate_gradients(substrate, heights, external_force=PRESSURE * n**2, **limits)
-    _agree(np.asarray(found.jac)[:n, :n], ours.pressure)
+    _agree(_by_contact_mechanics("FreeFFTElasticHalfSpace", heights), ours.pressure)
 
 
 @pytest.mark.parametrize("hardness", [10 * PRESSURE, 20 * PRESSURE])
@@ -98,27 +94,10 @@ def test_an_open_patch_by_contact_mechanics(comm, monkeypatch):
 def test_limited_hardness_by_contact_mechanics(comm, hurst, lambda_s, hardness):
     """Its constrained conjugate gradients, with their own treatment of points that flow, find the same points at the
     hardness and in contact, and the same pressure to 1e-6 in the 2-norm (measured 1e-8)."""
-    pytest.importorskip("ContactMechanics")
-    from ContactMechanics import PeriodicFFTElasticHalfSpace
-    from ContactMechanics.Optimization import constrained_conjugate_gradients
-    from contacts import elastic
-
-    from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.physics.laws.hard import Hardness
-    from pgfmd.physics.problem import ContactProblem
-    from pgfmd.solvers.dispatch import solve_contact
-    from pgfmd.solvers.options import Solver
-    from pgfmd.surfaces.self_affine import self_affine
-
-    n = 64
-    grid = SlabGrid(comm, (n, n))
+    grid = SlabGrid(comm, (64, 64))
     heights = self_affine(grid, hurst, lambda_s, 0.031, 1)
     problem = ContactProblem(grid, heights, elastic(MODULUS), Hardness(hardness=hardness), PRESSURE)
     ours = solve_contact(problem, Solver(tolerance=1e-16)).pressure
-    substrate = PeriodicFFTElasticHalfSpace((n, n), MODULUS, (float(n), float(n)))
-    limits = {"pentol": 1e-12, "forcetol": 1e-12, "thermotol": 1e-13, "maxiter": 20_000}
-    theirs = np.asarray(
-        constrained_conjugate_gradients(substrate, heights, hardness, external_force=PRESSURE * n**2, **limits).jac
-    )
+    theirs = _by_contact_mechanics("PeriodicFFTElasticHalfSpace", heights, hardness)
     _agree(theirs, ours)
     assert np.count_nonzero(theirs >= hardness * (1 - 1e-12)) == np.count_nonzero(ours == hardness) > 0
