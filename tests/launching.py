@@ -137,6 +137,13 @@ def wait(run: subprocess.Popen, timeout: float = 120) -> tuple[int, str]:
     return run.returncode, stderr
 
 
+def complete(ranks: int, *arguments, timeout: float = 900, **options) -> str:
+    """Stderr of a run that ends well."""
+    code, stderr = wait(start(ranks, *arguments, **options), timeout)
+    assert code == 0, stderr
+    return stderr
+
+
 def distance(folder: Path, reference: Path, complete: bool = True) -> tuple[int, float]:
     """Loads of a run, all there if `complete`, and the largest relative L2 difference of pressures from a reference."""
     if not complete and not (folder / "observables.h5").exists():

@@ -24,6 +24,13 @@ from pgfmd.surfaces.self_affine import self_affine
 pytestmark = pytest.mark.mpi
 
 
+@pytest.fixture
+def always(monkeypatch):
+    """Contacts of few points are moved too, however little that gains."""
+    monkeypatch.setattr(balance, "LEAST_POINTS", 1)
+    monkeypatch.setattr(balance, "LEAST_GAIN", 0.0)
+
+
 def hill(grid):
     """A rough hill on the first quarter of the rows of a cell of 64 × 48 points."""
     x = np.arange(64)[grid.rows, None] / 64
@@ -59,14 +66,13 @@ def test_the_fullest_slab_is_as_empty_as_can_be(comm):
 
 @pytest.mark.parametrize("law", [HardWall(), Hardness(hardness=0.3)], ids=["hard", "hardness"])
 @pytest.mark.parametrize("load", [0.005, 0.02])
-def test_the_contact_is_the_same(comm, monkeypatch, law, load):
+def test_the_contact_is_the_same(comm, always, monkeypatch, law, load):
     """Moved or not, the pressure is the same, and the heights are as they were; on several ranks it is moved."""
     grid, found, moved = SlabGrid(comm, (64, 48)), [], []
     heights = hill(grid)
     before = heights.copy()
     for least in (1 << 40, 1):
         monkeypatch.setattr(balance, "LEAST_POINTS", least)
-        monkeypatch.setattr(balance, "LEAST_GAIN", 0.0)
         problem = ContactProblem(grid, heights, elastic(1.0), law, load)
         found.append(solve_hard_wall(problem, 1e-20, monitor=lambda _, state: moved.append(state.shift)).pressure)
         assert np.array_equal(heights, before)
@@ -74,10 +80,8 @@ def test_the_contact_is_the_same(comm, monkeypatch, law, load):
     np.testing.assert_allclose(found[1], found[0], atol=1e-8 * grid.reduction.max(found[0]))
 
 
-def test_heights_come_back_after_an_error(comm, monkeypatch):
+def test_heights_come_back_after_an_error(comm, always):
     """A tolerance that rounding forbids is refused, and the heights are as they were."""
-    monkeypatch.setattr(balance, "LEAST_POINTS", 1)
-    monkeypatch.setattr(balance, "LEAST_GAIN", 0.0)
     grid = SlabGrid(comm, (64, 48))
     heights = hill(grid)
     before = heights.copy()
@@ -87,10 +91,8 @@ def test_heights_come_back_after_an_error(comm, monkeypatch):
 
 
 @pytest.mark.parametrize("how", ["read only", "an error of its own"])
-def test_heights_of_the_caller(comm, monkeypatch, how):
+def test_heights_of_the_caller(comm, always, how):
     """Read-only heights are not shifted; after one rank's error in a monitor, shifted ones are NaN, not others."""
-    monkeypatch.setattr(balance, "LEAST_POINTS", 1)
-    monkeypatch.setattr(balance, "LEAST_GAIN", 0.0)
     grid, shifts = SlabGrid(comm, (64, 48)), []
     heights = hill(grid)
     for _ in range(2):  # of mean 0: the solver works on this array
@@ -113,7 +115,7 @@ def test_heights_of_the_caller(comm, monkeypatch, how):
         assert np.isnan(heights).all()
 
 
-def test_a_checkpoint_holds_the_pressure_in_its_place(comm, monkeypatch, shared_tmp_path):
+def test_a_checkpoint_holds_the_pressure_in_its_place(comm, always, monkeypatch, shared_tmp_path):
     """A run that saves after each step saves, to a half, the pressure that it writes, each row in its place."""
     saved, shifts = [], []
 
@@ -126,8 +128,6 @@ def test_a_checkpoint_holds_the_pressure_in_its_place(comm, monkeypatch, shared_
 
     move_rows = balance.move_rows
     for owner, name, value in (
-        (balance, "LEAST_POINTS", 1),
-        (balance, "LEAST_GAIN", 0.0),
         (balance, "move_rows", moved),
         (Interruptions, "between_steps", lambda self, save=None: save and save()),
         (Checkpoints, "save", save),

@@ -68,7 +68,7 @@ def bearing(comm, n, hurst, seed, fraction, lambda_s=1.0, names=("bearing", "spe
 
 def test_area_and_curves(comm):
     """The bearing mask has the contact's area to the pixel; its spectrum and autocorrelation are those of the mask."""
-    grid, heights, groups = bearing(comm, 64, 0.5, 1, 0.1)
+    grid, heights, groups = bearing(comm, 64, 0.5, 1, 0.1, names=("bearing", "spectra", "acf", "patches"))
     whole = grid.fetch(heights, 0, 64)
     mask = (whole > float(groups["bearing"]["threshold"])) * 1.0
     assert mask.sum() == round(0.1 * grid.size)
@@ -78,13 +78,8 @@ def test_area_and_curves(comm):
     assert np.sum(spectrum["value"] * spectrum["count"]) == pytest.approx(power.sum() - power[0, 0], rel=1e-12, abs=0)
     along = [np.mean(mask * np.roll(mask, lag, 0)) for lag in range(33)]
     np.testing.assert_allclose(groups["bearing_acf_x"]["value"], along, atol=1e-14)
-
-
-def test_patches(comm):
-    """Islands of the bearing area add up to it, on as many ranks as there are."""
-    grid, _, groups = bearing(comm, 64, 0.5, 1, 0.1, names=("bearing", "patches"))
-    areas = comm.bcast(groups["bearing_patches"]).get("area")
-    assert areas.sum() == round(0.1 * grid.size) and "load" not in comm.bcast(groups["bearing_patches"])
+    patches = comm.bcast(groups["bearing_patches"])
+    assert patches["area"].sum() == mask.sum() and "load" not in patches
 
 
 def test_autocorrelation_of_a_gaussian_surface(comm):

@@ -35,17 +35,14 @@ def case(tmp_path_factory):
     folder = tmp_path_factory.mktemp("many")
     job = launching.write_job(folder / "job.toml", [75, 67], lambda_s=8, pressures=[1e-3, 1e-2], interval=1e9)
     (folder / "exchanged.py").write_text(EXCHANGED)
-    code, stderr = launching.wait(launching.start(1, "run", job, "--output", folder / "one"))
-    assert code == 0, stderr
+    launching.complete(1, "run", job, "--output", folder / "one")
     return folder
 
 
 @pytest.mark.parametrize("ranks", [*broad([5, 8], 0), pytest.param(16, marks=pytest.mark.long)])
 def test_many_ranks(case, tmp_path, ranks):
     """On 5 and 8 (with `--all`) and 16 ranks (with `--long`) of unequal slabs the pressure is that of one rank."""
-    run = launching.start(ranks, "run", case / "job.toml", "--output", tmp_path / "out")
-    code, stderr = launching.wait(run, 300)
-    assert code == 0, stderr
+    launching.complete(ranks, "run", case / "job.toml", "--output", tmp_path / "out", timeout=300)
     assert launching.distance(tmp_path / "out", case / "one")[1] < SAME
 
 
@@ -53,12 +50,8 @@ def test_many_ranks(case, tmp_path, ranks):
 @pytest.mark.parametrize("ranks", [3, *(pytest.param(count, marks=pytest.mark.long) for count in (8, 16))])
 def test_over_tcp(case, tmp_path, ranks):
     """The same with every message over TCP and strips that cross in an all-to-all."""
-    run = launching.start(
-        ranks, "run", case / "job.toml", "--output", tmp_path / "out",
-        script=(case / "exchanged.py",), environment=TCP,
-    )  # fmt: skip
-    code, stderr = launching.wait(run, 300)
-    assert code == 0, stderr
+    how = {"script": (case / "exchanged.py",), "environment": TCP}
+    launching.complete(ranks, "run", case / "job.toml", "--output", tmp_path / "out", timeout=300, **how)
     assert launching.distance(tmp_path / "out", case / "one")[1] < SAME
 
 
@@ -91,9 +84,7 @@ def test_thin_slabs_take_no_more_work(tmp_path, n, ranks):
     """Down to one row per rank, the pressure is that of one rank to 1e-10; iterations and transforms are within 5 %."""
     (tmp_path / "solve.py").write_text(MANY)
     for count in (1, ranks):
-        run = launching.start(count, n, tmp_path / f"{count}.npz", script=(tmp_path / "solve.py",))
-        code, stderr = launching.wait(run, 900)
-        assert code == 0, stderr
+        launching.complete(count, n, tmp_path / f"{count}.npz", script=(tmp_path / "solve.py",))
     one, many = (np.load(tmp_path / f"{count}.npz") for count in (1, ranks))
     assert np.linalg.norm(many["pressure"] - one["pressure"]) < SAME * np.linalg.norm(one["pressure"])
     assert np.allclose(many["work"], one["work"], rtol=0.05, atol=0)

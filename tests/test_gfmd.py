@@ -7,7 +7,7 @@ import pytest
 from conftest import apart
 from contacts import elastic, under_hard_wall
 
-from pgfmd.errors import InputError, SolverError
+from pgfmd.errors import SolverError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.laws.exponential_law import ExponentialWall
 from pgfmd.physics.laws.hard import Hardness, HardWall
@@ -101,13 +101,6 @@ def test_without_a_load_the_highest_point_touches(comm, method):
     grid = SlabGrid(comm, (8, 8))
     problem = under_hard_wall(grid, sinusoid(grid, 1.0), 0.0, SOLID)
     assert solve_contact(problem, Solver(method=method)).mean_gap == pytest.approx(1.0)
-
-
-def test_methods_belong_to_walls(comm):
-    """Newton's method is not for the hard wall."""
-    grid = SlabGrid(comm, (8, 8))
-    with pytest.raises(InputError, match="newton"):
-        solve_contact(under_hard_wall(grid, sinusoid(grid, 1.0), 0.1, SOLID), Solver(method="newton"))
 
 
 def test_dynamics_step_in_where_the_active_set_fails(comm, monkeypatch):

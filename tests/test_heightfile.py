@@ -52,24 +52,6 @@ def four_images(heights):
     return np.block([[heights, heights[:, ::-1]], [heights[::-1], heights[::-1, ::-1]]])
 
 
-@pytest.mark.parametrize("suffix", ["npy", "h5"])
-@pytest.mark.parametrize("periodic", ["as-is", "mirror"])
-def test_rows_of_every_rank(comm, shared_tmp_path, tilted, suffix, periodic):
-    """The ranks together hold the file bit for bit, or it and its three mirror images."""
-
-    def make(path):
-        if suffix == "npy":
-            np.save(path, tilted)
-        else:
-            with h5py.File(path, "w") as file:
-                file["heights"] = tilted
-
-    path = saved(comm, shared_tmp_path / f"a.{suffix}", make)
-    expected = tilted if periodic == "as-is" else four_images(tilted)
-    grid = SlabGrid(comm, expected.shape)
-    assert np.array_equal(whole(grid, read_heights(grid, path, periodic=periodic)), expected)
-
-
 @pytest.mark.parametrize("periodic", ["as-is", "mirror"])
 def test_plane(comm, shared_tmp_path, tilted, periodic):
     """The plane is that of the measurement, also where its images follow; to rounding of heights up to 300."""
@@ -103,13 +85,6 @@ def test_mirror_images_need_twice_the_points(comm, shared_tmp_path, tilted):
         read_heights(SlabGrid(comm, (24, 48)), path, periodic="mirror")
 
 
-def test_text_is_what_npy_is(comm, shared_tmp_path, tilted):
-    """A matrix by `numpy.savetxt` is bit for bit the surface of the .npy: line i is at x = i aₓ, in the job's units."""
-    path = saved(comm, shared_tmp_path / "a.txt", lambda path: np.savetxt(path, tilted))
-    grid = SlabGrid(comm, SHAPE, (1.0, 2.0))
-    assert np.array_equal(whole(grid, read_heights(grid, path, length_unit="length")), tilted)
-
-
 def made(path, heights, **attributes):
     """A file of heights by its suffix; attributes for HDF5."""
     if path.suffix == ".npy":
@@ -124,6 +99,17 @@ def made(path, heights, **attributes):
         np.savetxt(path, np.random.default_rng(1).permutation(points), delimiter=",")
     else:
         np.savetxt(path, heights)
+
+
+@pytest.mark.parametrize("suffix", ["npy", "h5", "txt"])
+@pytest.mark.parametrize("periodic", ["as-is", "mirror"])
+def test_rows_of_every_rank(comm, shared_tmp_path, tilted, suffix, periodic):
+    """The ranks together hold the array bit for bit, or it and its three mirror images, from any format: line i is at
+    x = i aₓ, in the job's units."""
+    path = saved(comm, shared_tmp_path / f"a.{suffix}", lambda path: made(path, tilted))
+    expected = tilted if periodic == "as-is" else four_images(tilted)
+    grid = SlabGrid(comm, expected.shape, (expected.shape[0], 2.0 * expected.shape[1]))
+    assert np.array_equal(whole(grid, read_heights(grid, path, "length", periodic=periodic)), expected)
 
 
 @pytest.mark.parametrize("periodic", ["as-is", "mirror"])

@@ -143,12 +143,6 @@ def test_holes_are_counted_in_the_log(comm, shared_tmp_path, caplog, monkeypatch
         assert [record.levelno for record in said] == [level] * (comm.rank == 0)
 
 
-def test_missing_files_are_named_before_they_are_read(tmp_path):
-    """Of any section, with the key."""
-    with pytest.raises(InputError, match=r"surface\.path: no such file"):
-        asked(tmp_path / "none.npy")
-
-
 def topography(heights, **options):
     """Of the package SurfaceTopography."""
     package = pytest.importorskip("SurfaceTopography", reason="tools/setup.sh test")

@@ -25,8 +25,7 @@ def campaign(tmp_path, n: int, kills: int, interval: float):
     chance = random.Random(seed)
     job = launching.write_job(tmp_path / "job.toml", n, lambda_s=n / 64, interval=interval)
     began = time.monotonic()
-    code, stderr = launching.wait(launching.start(2, "run", job, "--output", tmp_path / "reference"), 900)
-    assert code == 0, stderr
+    launching.complete(2, "run", job, "--output", tmp_path / "reference")
     length = time.monotonic() - began
     done = runs = 0
     while done < kills:
@@ -74,8 +73,7 @@ def changed(tmp_path, n: int, kills: int):
         jobs[name] = launching.write_file_job(tmp_path / f"{name}.toml", n, heights, pressure)
         np.save(heights, surface)
         began = time.monotonic()
-        code, stderr = launching.wait(launching.start(2, "run", jobs[name], "--output", tmp_path / f"as {name}"), 900)
-        assert code == 0, stderr
+        launching.complete(2, "run", jobs[name], "--output", tmp_path / f"as {name}")
         lengths.append(time.monotonic() - began)
     other_version = tmp_path / "other.py"
     other_version.write_text(
@@ -108,9 +106,7 @@ def changed(tmp_path, n: int, kills: int):
         present = name if new else "old"
         np.save(heights, surfaces[present])
         script = script if new else ("-m", "pgfmd")
-        goes_on = launching.start(1, "run", jobs[present], "--output", folder, "--restart", script=script)
-        code, stderr = launching.wait(goes_on, 600)
-        assert code == 0, stderr
+        launching.complete(1, "run", jobs[present], "--output", folder, "--restart", script=script)
         _, found = launching.distance(folder, tmp_path / f"as {present}")
         print(f"kill {number + 1:2} of {ranks} ranks, other {name}: {present}, {found:.0e}", flush=True)
         assert found < SAME
@@ -129,8 +125,7 @@ def test_a_killed_ensemble_goes_on_with_more_seeds(tmp_path):
     job = launching.write_job(tmp_path / "job.toml", 128, lambda_s=8, pressures=[0.001, 0.002])
     reference, folder, kept = tmp_path / "reference", tmp_path / "out", {}
     every = ("--set", "surface.seed=1..8")
-    code, stderr = launching.wait(launching.start(2, "run", job, "--output", reference, *every), 900)
-    assert code == 0, stderr
+    launching.complete(2, "run", job, "--output", reference, *every)
 
     def complete() -> dict[str, list[float]]:
         """The seconds of the loads of each seed that is complete."""
@@ -151,8 +146,7 @@ def test_a_killed_ensemble_goes_on_with_more_seeds(tmp_path):
         assert Ensemble(folder).status in ("interrupted", "complete")  # the kill may come when all is written
         kept = now
     ranks = chance.choice([1, 2, 3])
-    code, stderr = launching.wait(launching.start(ranks, "run", job, "--output", folder, "--restart", *every), 900)
-    assert code == 0, stderr
+    launching.complete(ranks, "run", job, "--output", folder, "--restart", *every)
     found, expected = Ensemble(folder), Ensemble(reference)
     assert found.status == "complete" and found.seeds == list(range(1, 9)) and kept.items() <= complete().items()
     for mine, other in zip(found.runs, expected.runs, strict=True):

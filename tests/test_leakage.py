@@ -4,6 +4,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from conftest import whole
 from job_texts import rough_job
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
@@ -28,11 +29,6 @@ def flow(comm, gap, axis, width=1e-12, lengths=None):
     """The flow through a whole gap (nx, ny), open where it is positive."""
     grid = SlabGrid(comm, gap.shape, lengths)
     return flow_through(grid, gap[grid.rows].copy(), gap[grid.rows] > 0, axis, width, True)
-
-
-def whole(comm, field):
-    """A field put together from its slabs."""
-    return np.concatenate(comm.allgather(field))
 
 
 def direct(mask, down, right, axis):
@@ -125,7 +121,7 @@ def test_bounds_enclose_a_direct_solution(comm, monkeypatch, many):
         slack = 1e-9 * exact + 1e-20
         assert found.lower - slack <= exact <= found.upper + slack
         assert found.upper - found.lower <= width * found.upper + slack
-        along_x, along_y = (whole(comm, field) for field in found.fluxes)
+        along_x, along_y = (whole(grid, field) for field in found.fluxes)
         balance = along_x - np.roll(along_x, 1, 0) + along_y - np.roll(along_y, 1, 1)
         cuts = along_x.sum(axis=1) if axis == 0 else along_y.sum(axis=0)
         rounding = 2e-15 * float(max(down.max(), right.max()))  # of T u

@@ -176,16 +176,11 @@ def test_every_style_gives_back_the_numbers(tmp_path, separator, mark):
         assert np.array_equal(read_text(path).array, table, equal_nan=True), f"seed {seed}"
 
 
-def test_comments_at_the_ends_of_lines(tmp_path):
-    """They are passed over on any line, the first too."""
-    (tmp_path / "a.txt").write_text("1 2 3 4  # a\n5 6 7 8 # b\n")
-    assert np.array_equal(read_text(tmp_path / "a.txt").array, [[1, 2, 3, 4], [5, 6, 7, 8]])
-
-
-def test_separators_at_the_ends_of_lines(tmp_path):
-    """Spreadsheets end each line with one: no column of missing heights."""
-    (tmp_path / "a.csv").write_text("1,2,3,4,\n5,6,7,8,\n")
-    assert read_text(tmp_path / "a.csv").shape == (2, 4)
+@pytest.mark.parametrize("text", ["1 2 3 4  # a\n5 6 7 8 # b\n", "1,2,3,4,\n5,6,7,8,\n"])
+def test_what_ends_a_line_is_no_number(tmp_path, text):
+    """A comment, also on the first line, and the separator by which spreadsheets end each line."""
+    (tmp_path / "a.csv").write_text(text)
+    assert np.array_equal(read_text(tmp_path / "a.csv").array, [[1, 2, 3, 4], [5, 6, 7, 8]])
 
 
 def test_coordinates_in_any_order(tmp_path):

@@ -150,7 +150,6 @@ def test_square_punch():
 def test_two_distant_spheres():
     """Each raises the other: λ − λ₁ = P/(πE's) (1 + (4/15)(a/s)² − (2/π)(a/s)³), to 5e-4."""
     n, radius, a, s = 96, 600.0, 12.0, 56
-    one = np.full((n, n), -1e3)
     x, y = np.arange(n)[:, None], np.arange(n)
     left, right = (-((x - at) ** 2 + (y - 48.25) ** 2) / (2 * radius) for at in (20.3, 20.3 + s))
     both = np.maximum(left, right)

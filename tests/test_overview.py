@@ -16,6 +16,7 @@ import pytest
 import reading
 from job_texts import rough_job
 from scipy import ndimage
+from test_patches import flood_fill
 
 import pgfmd
 from pgfmd.application.job import parse
@@ -89,21 +90,10 @@ def test_tiles_hold_every_point_of_every_level(tmp_path, small_tiles, shape, sca
 
 @pytest.mark.parametrize("connectivity", [4, 8])
 def test_patches_of_a_periodic_field(connectivity):
-    """Points have one number if and only if they are connected, found by flooding from each point in turn."""
-    steps = [(0, 1), (1, 0), (0, -1), (-1, 0)] + [(1, 1), (1, -1), (-1, 1), (-1, -1)] * (connectivity == 8)
+    """Points have one number if and only if they are connected, as a flood fill finds."""
     for seed in range(20):
         contact = np.random.default_rng(seed).random((9, 12)) < 0.45
-        expected, number = np.zeros(contact.shape, int), 0
-        for start in zip(*np.nonzero(contact), strict=True):
-            if expected[start]:
-                continue
-            number, front = number + 1, [start]
-            while front:
-                i, j = front.pop()
-                i, j = i % 9, j % 12
-                if contact[i, j] and not expected[i, j]:
-                    expected[i, j] = number
-                    front += [(i + a, j + b) for a, b in steps]
+        expected = flood_fill(contact, 1.0 * contact, connectivity)[0]
         found = patch_areas.labelled(contact, connectivity)
         pairs = set(zip(found.ravel().tolist(), expected.ravel().tolist(), strict=True))
         assert len(pairs) == len(set(found.ravel())) == len(set(expected.ravel())) and (0, 0) in pairs, f"seed {seed}"

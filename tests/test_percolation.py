@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from contacts import elastic
 from job_texts import rough_job
+from test_patches import flood_fill
 
 import pgfmd
 from pgfmd.errors import InputError
@@ -14,30 +15,12 @@ from pgfmd.observables.percolation import bottlenecks, percolates
 from pgfmd.surfaces.self_affine import self_affine
 
 pytestmark = pytest.mark.mpi
-EDGES = (1, 0), (-1, 0), (0, 1), (0, -1)
-CORNERS = (1, 1), (1, -1), (-1, 1), (-1, -1)
 
 
 def flood(mask, connectivity):
-    """Whether the set points wind along x and along y: a flood fill that keeps unrolled coordinates."""
-    (nx, ny), seen, winds = mask.shape, {}, [False, False]
-    for start in map(tuple, np.argwhere(mask)):
-        if start in seen:
-            continue
-        seen[start], stack = start, [start]
-        while stack:
-            x, y = stack.pop()
-            for dx, dy in EDGES + (CORNERS if connectivity == 8 else ()):
-                place, there = ((x + dx) % nx, (y + dy) % ny), (x + dx, y + dy)
-                if not mask[place]:
-                    continue
-                if place not in seen:
-                    seen[place] = there
-                    stack.append(there)
-                elif seen[place] != there:
-                    winds[0] |= seen[place][0] != there[0]
-                    winds[1] |= seen[place][1] != there[1]
-    return tuple(winds)
+    """Whether the set points wind along x and along y."""
+    table = flood_fill(mask, 1.0 * mask, connectivity)[1]
+    return tuple(bool(table[f"percolates_{axis}"].any()) for axis in "xy")
 
 
 def widest(gap, mask):

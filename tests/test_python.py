@@ -40,12 +40,6 @@ def results(comm, shared_tmp_path):
     return pgfmd.run(JOB, shared_tmp_path / "run", comm=comm)
 
 
-def test_surfaces_do_not_depend_on_the_communicator(comm, heights):
-    """Each rank's rows are those of the surface that one process makes: equal to rounding of the transforms."""
-    whole = pgfmd.surface({"grid": JOB["grid"], "surface": ROUGH})
-    np.testing.assert_allclose(heights, whole[slab(48, comm.size, comm.rank)], atol=1e-13 * np.abs(whole).max())
-
-
 def test_a_call_gives_what_a_run_gives(comm, heights, results):
     """Pressures, gaps, numbers, curves and error bars of `solve` are those of the run of the same job.  Both are
     certified to 1e-18, so that pressures agree to its square root.  Spectra of arrays end at the grid's last mode,
