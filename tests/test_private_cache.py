@@ -206,6 +206,20 @@ def test_wisdom_is_no_pickle(tmp_path, monkeypatch):
     assert set(before[0].split()) == set(transforms.pyfftw.export_wisdom()[0].split())
 
 
+def starter(cache, code):
+    """start(*arguments): a process of that code, which keeps there what is for later runs, and waits for a line."""
+    environment = os.environ | {"PGFMD_CACHE": str(cache)}
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    return lambda *more: subprocess.Popen([sys.executable, "-c", code, *more], env=environment, **pipes)
+
+
+def said(run):
+    """What a process prints once it may go on."""
+    text = run.communicate("go\n", timeout=120)[0]
+    assert run.returncode == 0
+    return text
+
+
 PLAN = """
 import sys
 import numpy as np
@@ -230,23 +244,12 @@ for n in map(int, sys.argv[1:]):
 def test_a_transform_is_planned_by_one_process(tmp_path):
     """Processes that begin together with an empty cache, and each need transforms of their own and common ones: each is
     planned by one of them, and nothing that another has learnt is lost.  A process after them plans nothing."""
-    environment = os.environ | {"PGFMD_CACHE": str(tmp_path)}
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
-
-    def start(*sizes: str) -> subprocess.Popen:
-        return subprocess.Popen([sys.executable, "-c", PLAN, *sizes], env=environment, **pipes)
-
-    def plans(run: subprocess.Popen) -> list[str]:
-        found = run.communicate("go\n", timeout=120)[0].splitlines()
-        assert run.returncode == 0
-        return found
-
-    common = ("96", "120", "75")
+    start, common = starter(tmp_path, PLAN), ("96", "120", "75")
     runs = [start(*common, "80"), start("77", *common), start("66", *common)]
     assert [run.stdout.readline() for run in runs] == ["ready\n"] * 3
-    found = sum(map(plans, runs), [])
+    found = [line for run in runs for line in said(run).splitlines()]
     assert len(found) == len(set(found)) == 2 * 6
-    assert plans(start(*common, "80", "77", "66")) == ["ready"]
+    assert said(start(*common, "80", "77", "66")) == "ready\n"
 
 
 RESPOND = """
@@ -305,25 +308,15 @@ LOOPS = ("rows_and_tiles", "tiles_and_columns", "_unite", "_place")
 @pytest.mark.breadth
 def test_a_loop_is_compiled_by_one_process(tmp_path):
     """Of processes that begin together one compiles each loop, the others load it; one after them compiles nothing."""
-    environment = os.environ | {"PGFMD_CACHE": str(tmp_path)}
-
-    def start() -> subprocess.Popen:
-        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
-        return subprocess.Popen([sys.executable, "-c", COMPILE], env=environment, **pipes)
-
-    def names(run: subprocess.Popen) -> list[str]:
-        found = run.communicate("go\n", timeout=120)[0].split()
-        assert run.returncode == 0
-        return found
-
+    start = starter(tmp_path, COMPILE)
     together = [start() for _ in range(3)]
     assert all(run.stdout.readline() == "ready\n" for run in together)
     for run in together:
         run.stdin.write("go\n")
         run.stdin.flush()
-    compiled = [name for run in together for name in names(run)]
+    compiled = [name for run in together for name in said(run).split()]
     assert sorted(name for name in compiled if name in LOOPS) == sorted(LOOPS)
-    assert names(start()) == ["ready"]
+    assert said(start()).split() == ["ready"]
 
 
 def test_nobody_waits_for_ever(tmp_path, monkeypatch):
