@@ -35,9 +35,6 @@ def measure(grid, pressure, gap, modulus=1.0):
     return grid.reduction.sum(pressure > 0) * grid.pixel_area + area, length
 
 
-# ---- theory: the edge on the lattice ---------------------------------------------------------------------------------
-
-
 def shift_by_quadrature(normal, spacing=(1.0, 1.0), stiffness=lambda q: q):
     """δ = (1/π) ∫_0^∞ log(K(t)/K(|fold(t n)|)) dt/t²: the other form of `LatticeEdge.shift`, for any direction."""
     end = 1.05 * max(spacing) / np.pi  # of 1/t, where K(t) = K(|fold(t n)|)
@@ -116,9 +113,6 @@ def test_staircase_is_the_mean_shift():
     assert theory.STAIRCASE == pytest.approx(mean * math.pi / 4, rel=0.01)
 
 
-# ---- straight lines --------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.mpi("breadth")
 @pytest.mark.parametrize("direction", [(1, 0), (0, 1), (9, 1), (5, 2), (3, 2), (4, 4), (1, 8)])
 def test_straight_edges(comm, direction):
@@ -174,9 +168,6 @@ def test_stretched_pixels(comm):
     assert perimeter == pytest.approx(length, rel=0.01)
 
 
-# ---- discs -----------------------------------------------------------------------------------------------------------
-
-
 def disc(grid, radius, centre, modulus=1.0):
     """Pressure and gap of a paraboloid about `centre` whose contact has that radius."""
     lx, ly = grid.lengths
@@ -206,9 +197,6 @@ def test_perimeter_of_a_disc(comm):
     grid = SlabGrid(comm, (64, 64))
     _, perimeter = measure(grid, *disc(grid, 10.0, (31.3, 32.8)))
     assert perimeter == pytest.approx(20 * math.pi, rel=0.01)
-
-
-# ---- symmetries, units, ranks ----------------------------------------------------------------------------------------
 
 
 def rough(grid, seed=5):

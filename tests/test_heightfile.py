@@ -371,9 +371,6 @@ def test_masked_heights_of_a_script(comm):
     assert (pgfmd.solve(np.ma.array(heights.data), 0.01).pressure > 0).any()
 
 
-# ---- with the package -----------------------------------------------------------------------------------------------
-
-
 @pytest.fixture
 def package():
     return pytest.importorskip("SurfaceTopography", reason="tools/setup.sh test")

@@ -230,9 +230,6 @@ def test_memory(comm):
     assert grid.reduction.sum(observing) <= 1.25 * grid.reduction.sum(solving)
 
 
-# ---- area ------------------------------------------------------------------------------------------------------------
-
-
 @CASES
 def test_area_counts_pixels_and_edges(comm, shape, lengths):
     """f_c and periodic edges by NumPy; S_d is the patches' sum; without a contact line nothing is corrected."""
@@ -274,9 +271,6 @@ def test_patches_hold_the_contact(comm):
     assert table["load"].sum() == pytest.approx(grid.reduction.sum(pressure) * grid.pixel_area, rel=1e-14, abs=0)
     labels = grid.fetch(contact.fields(("labels",), 8)["labels"], 0, 24)
     np.testing.assert_array_equal(np.bincount(labels.ravel())[1:] * grid.pixel_area, table["area"])
-
-
-# ---- distributions ---------------------------------------------------------------------------------------------------
 
 
 @CASES
@@ -351,9 +345,6 @@ def test_sums_over_rings(n):
     for got, terms in ((rings.sums(values, 0, 3), values), (rings.count, 1 + 0 * place), (rings.roots, place)):
         index = np.searchsorted(edges, place.ravel())
         np.testing.assert_allclose(got, np.bincount(index, (terms * weight[:, None]).ravel(), 5), atol=1e-14)
-
-
-# ---- f(q) ------------------------------------------------------------------------------------------------------------
 
 
 def test_lowpass_removes_short_waves(comm):
@@ -522,9 +513,6 @@ def test_area_of_the_whole_surface(comm):
     assert np.all(found["area_corrected"][:-1] > contact.area.corrected)
     for was, now in zip(before, (solution.pressure, solution.gap, heights), strict=True):
         np.testing.assert_array_equal(was, now)
-
-
-# ---- walls that touch everywhere -------------------------------------------------------------------------------------
 
 
 def test_one_contact_for_all_observables(comm):

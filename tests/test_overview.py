@@ -166,9 +166,6 @@ def test_large_fields_lie_beside_the_page(runs, tmp_path, monkeypatch, small_til
     assert data["folder"] is None and not (tmp_path / overview_page.FOLDER).exists() and "--no-tiles" in data["tells"]
 
 
-# ---- in a browser ---------------------------------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def window(tmp_path_factory):
     if browser.executable() is None:

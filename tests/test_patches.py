@@ -22,9 +22,6 @@ SPACING = (0.75, 1.25)  # unequal, and exact in binary: areas and extents come o
 EXACT = ("area", "perimeter", "extent_x", "extent_y", "peak_pressure", "percolates_x", "percolates_y")
 
 
-# ---- an independent answer ------------------------------------------------------------------------------------------
-
-
 def flood_fill(mask: np.ndarray, pressure: np.ndarray, connectivity: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Labels and table by walking from pixel to pixel on the unrolled plane, patch after patch in row-major order."""
     nx, ny = mask.shape
@@ -82,9 +79,6 @@ def scipy_labels(mask: np.ndarray, connectivity: int) -> np.ndarray:
     first[values == -1] = -1  # the background before all patches
     number = np.argsort(np.argsort(first)) + (values[0] != -1)
     return number[inverse].reshape(mask.shape)
-
-
-# ---- the distributed answer ------------------------------------------------------------------------------------------
 
 
 PARTS = {}
@@ -178,9 +172,6 @@ def test_five_ranks(comm):
     )  # fmt: skip
     assert run.returncode == 0, run.stdout + run.stderr
     assert run.stdout.count("1 passed") == 5
-
-
-# ---- masks made to be difficult --------------------------------------------------------------------------------------
 
 
 def test_empty_and_full(comm):
@@ -292,9 +283,6 @@ def test_checkerboard(comm):
     mask = np.indices((8, 10)).sum(0) % 2 == 0
     assert len(check(comm, mask, connectivities=(4,)).area) == 40
     assert len(check(comm, mask, connectivities=(8,)).area) == 1
-
-
-# ---- laws ------------------------------------------------------------------------------------------------------------
 
 
 def smooth_noise(shape, cover, seed=5):
