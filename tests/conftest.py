@@ -101,6 +101,11 @@ def whole(grid, field):
     return grid.fetch(field, 0, grid.shape[0])
 
 
+def contents(folder: Path) -> dict[Path, bytes]:
+    """Every file below a folder, by its path."""
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
 def python(code: str, *arguments: object, **environment: str) -> subprocess.CompletedProcess:
     """What a fresh interpreter makes of `code`, in the folder of this checkout."""
     command = [sys.executable, "-c", code, *map(str, arguments)]

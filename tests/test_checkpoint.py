@@ -8,7 +8,7 @@ import subprocess
 import h5py
 import numpy as np
 import pytest
-from conftest import once
+from conftest import contents, once
 from job_texts import SOLID
 from mpi4py import MPI
 
@@ -164,10 +164,10 @@ def test_every_byte_of_the_results_counts(comm, shared_tmp_path):
     path = shared_tmp_path / "out" / "observables.h5"
     for at in range(0, path.stat().st_size, 101):
         flip(comm, path, at)
-        before = {each: each.read_bytes() for each in path.parent.rglob("*") if each.is_file()}
+        before = contents(path.parent)
         with pytest.raises(InputError, match="observables.h5: cannot be continued: its bytes are not those"):
             restart()
-        assert {each: each.read_bytes() for each in path.parent.rglob("*") if each.is_file()} == before
+        assert contents(path.parent) == before
         flip(comm, path, at)
     with restart() as writer:
         assert writer.pending == [2]
@@ -183,9 +183,7 @@ def test_sha256sum_reads_the_checksums(comm, shared_tmp_path):
         names = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.suffix in (".h5", ".vtkhdf")}
         assert run.returncode == 0 and {line.removesuffix(": OK") for line in run.stdout.splitlines()} == names
         path = folder / "fields" / "load_0001.h5"
-        data = bytearray(path.read_bytes())
-        data[len(data) // 2] ^= 1
-        path.write_bytes(data)
+        flip(MPI.COMM_SELF, path, path.stat().st_size // 2)
         assert damage(Results(folder)) == {path: "its bytes are not those that were written"}
         run = subprocess.run(check, cwd=folder, capture_output=True, text=True, check=False)
         assert run.returncode == 1 and "fields/load_0001.h5: FAILED" in run.stdout
@@ -206,31 +204,9 @@ def test_large_fields_hold_the_checksums_of_their_rows(comm, shared_tmp_path, mo
             place = file[at].id.get_offset() + 9
         assert files.read_sums(folder).keys() == {"observables.h5", "fields.h5", "fields.vtkhdf"}
         assert damage(Results(folder)) == {}
-        data = bytearray(path.read_bytes())
-        data[place] ^= 1
-        path.write_bytes(data)
+        flip(MPI.COMM_SELF, path, place)
         assert damage(Results(folder)) == {path: "its bytes are not those that were written"}
     comm.Barrier()
-
-
-FILE_JOB = """
-[grid]
-n = 16
-[surface]
-kind = "file"
-path = "{path}"
-[solid]
-contact_modulus = 1
-[load]
-pressure = [0.01, 0.02, 0.03]
-[output]
-fields = ["height", "pressure"]
-"""
-
-
-def contents(folder) -> dict:
-    """Every file below a folder, by its path."""
-    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 @pytest.mark.parametrize("what", ["inputs", "job", "version"])
@@ -239,7 +215,9 @@ def test_only_the_same_run_is_continued(comm, shared_tmp_path, monkeypatch, what
     heights, folder = shared_tmp_path / "heights.npy", shared_tmp_path / "out"
     surface = np.cos(2 * np.pi * np.arange(16) / 16)[:, None] * np.ones(16)
     once(comm, np.save, heights, surface)
-    job = parse(FILE_JOB.format(path=heights))
+    tables = {"grid": {"n": 16}, "surface": {"kind": "file", "path": str(heights)}, "solid": {"contact_modulus": 1},
+              "load": {"pressure": [0.01, 0.02, 0.03]}, "output": {"fields": ["height", "pressure"]}}  # fmt: skip
+    job = parse(config.tables_as_toml(tables))
     simulate(job, comm, folder)
     comm.Barrier()
     before = contents(folder)
@@ -253,7 +231,7 @@ def test_only_the_same_run_is_continued(comm, shared_tmp_path, monkeypatch, what
     if what == "inputs" and comm.rank == 0:
         np.save(heights, 2 * surface)
     if what == "job":
-        job = parse(FILE_JOB.format(path=heights).replace("0.03", "0.04"))
+        job = parse(config.tables_as_toml(tables | {"load": {"pressure": [0.01, 0.02, 0.04]}}))
     if what == "version":
         monkeypatch.setattr("pgfmd.application.restart.THIS_VERSION", "9.9")
     comm.Barrier()

@@ -120,12 +120,6 @@ def test_run_writes_its_folder(mpirun, tmp_path, job):
     np.testing.assert_array_equal(read.field("pressure", 1), np.full((8, 6), 0.25))
 
 
-def test_run_without_mpirun(finished):
-    """Without a launcher it is one rank."""
-    read = Results(finished)
-    assert len(read) == 2 and read.status == "complete" and read.provenance["ranks"] == 1
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     broad([

@@ -117,20 +117,16 @@ JOB = {
 }
 
 
-def skewness_of(load):
-    """Of the pressures that a run wrote."""
-    pressure = load.field("pressure")
-    inside = pressure[pressure > 0] - pressure[pressure > 0].mean()
-    return np.mean(inside**3) / np.mean(inside**2) ** 1.5
-
-
 def test_columns_of_a_run(comm, shared_tmp_path):
     """Each load has its own numbers, those of a continued run too; `solve` of the same contact gives them."""
     pgfmd.run(JOB, shared_tmp_path / "out", comm=comm)
     longer = JOB | {"load": {"pressure": [0.004, 0.02]}}
     results = pgfmd.run(longer, shared_tmp_path / "out", comm=comm, restart=True)
     for load in results:
-        assert load.numbers["pressure_skewness"] == pytest.approx(skewness_of(load), rel=1e-9, abs=0)
+        pressure = load.field("pressure")
+        inside = pressure[pressure > 0] - pressure[pressure > 0].mean()
+        skewness = np.mean(inside**3) / np.mean(inside**2) ** 1.5
+        assert load.numbers["pressure_skewness"] == pytest.approx(skewness, rel=1e-9, abs=0)
     light, heavy = results.loads["gap_rms_slope"]
     assert 0.1 > light > heavy > 0  # the surface's slope without contact, 0 in full contact
     heights = results.field("height")[SlabGrid(comm, (24, 24)).rows].copy()
@@ -141,21 +137,8 @@ def test_columns_of_a_run(comm, shared_tmp_path):
 
 
 def test_columns_of_an_ensemble(comm, shared_tmp_path):
-    """Mean and standard error over the seeds, with the number of seeds."""
-    job = JOB | {"surface": JOB["surface"] | {"seed": [3, 4, 5]}}
-    ensemble = pgfmd.run(job, shared_tmp_path / "out", comm=comm)
-    values = np.array([run.loads["gap_rms_slope"][0] for run in ensemble.runs])
-    mean = ensemble.mean()
-    assert mean["gap_rms_slope"][0] == pytest.approx(values.mean(), rel=1e-12, abs=0)
-    assert mean["gap_rms_slope_error"][0] == pytest.approx(values.std(ddof=1) / math.sqrt(3), rel=1e-9, abs=0)
-    assert mean["seeds"][0] == 3
-    with h5py.File(shared_tmp_path / "out" / "ensemble.h5") as file:
-        assert file["loads/gap_rms_slope"][0] == mean["gap_rms_slope"][0]
-        assert file["loads/gap_rms_slope"].attrs["units"] == "1"
-
-
-def test_means_say_over_how_many_seeds(comm, shared_tmp_path):
-    """A mean over fewer seeds than have solved the load says over how many, in the text and in the data frame."""
+    """Mean and standard error over the seeds, with their number, in data frame and file.  A mean over fewer seeds than
+    have solved the load says over how many, in the text and in the data frame."""
     light = {"pressure": [3e-5, 0.02]}  # some seeds touch in one pixel: no skewness
     job = JOB | {"surface": JOB["surface"] | {"seed": "1..6"}, "load": light}
     ensemble = pgfmd.run(job, shared_tmp_path / "out", comm=comm)
@@ -163,6 +146,13 @@ def test_means_say_over_how_many_seeds(comm, shared_tmp_path):
     assert 0 < finite[0] < 6 == finite[1]
     frame = ensemble.mean()
     assert frame["pressure_skewness_seeds"].tolist() == finite and "contact_area_seeds" not in frame
+    values = np.array([run.loads["gap_rms_slope"] for run in ensemble.runs])
+    np.testing.assert_allclose(frame["gap_rms_slope"], values.mean(axis=0), rtol=1e-12)
+    np.testing.assert_allclose(frame["gap_rms_slope_error"], values.std(axis=0, ddof=1) / math.sqrt(6), rtol=1e-9)
+    assert frame["seeds"].tolist() == [6, 6]
+    with h5py.File(shared_tmp_path / "out" / "ensemble.h5") as file:
+        assert list(file["loads/gap_rms_slope"]) == list(frame["gap_rms_slope"])
+        assert file["loads/gap_rms_slope"].attrs["units"] == "1"
     first, second = repr(ensemble).splitlines()[-2:]
     assert first.count(f"({finite[0]})") == 1 and "(" not in second
 

@@ -37,6 +37,18 @@ JOB = {
 }
 
 
+def failing(monkeypatch, error, seeds):
+    """From now on those seeds of a run end with that error."""
+    simulate = runner.simulate
+
+    def stand_in(job, group, directory, **options):
+        if job.surface.seed in seeds:
+            raise error
+        simulate(job, group, directory, **options)
+
+    monkeypatch.setattr(runner, "simulate", stand_in)
+
+
 def with_seeds(seeds, **tables) -> dict:
     return JOB | {"surface": JOB["surface"] | {"seed": seeds}} | tables
 
@@ -129,14 +141,7 @@ def test_means_leave_out_loads_that_were_not_solved(comm, shared_tmp_path):
 
 def test_a_seed_that_fails_does_not_stop_the_others(comm, shared_tmp_path, monkeypatch):
     """The other seeds are complete, error and ensemble name the seed and the reason, and --restart does it alone."""
-    simulate = runner.simulate
-
-    def stand_in(job, group, directory, **options):
-        if job.surface.seed == 5:
-            raise SolverError("it does not converge")
-        simulate(job, group, directory, **options)
-
-    monkeypatch.setattr(runner, "simulate", stand_in)
+    failing(monkeypatch, SolverError("it does not converge"), [5])
     with pytest.raises(SolverError, match="1 of 5 seeds failed.*seed 5: it does not converge"):
         pgfmd.run(JOB, shared_tmp_path / "out", comm=comm)
     found = pgfmd.Ensemble(shared_tmp_path / "out")
@@ -202,14 +207,8 @@ def test_an_overwriting_that_was_stopped_is_continued(comm, shared_tmp_path, mon
     """Where --overwrite is stopped, old results of the other seeds are in no mean, and --restart makes them anew."""
     folder = shared_tmp_path / "out"
     pgfmd.run(with_seeds([3, 4, 5, 6]), folder, comm=comm)
-    other, simulate = with_seeds([3, 4, 5, 6], load={"pressure": [0.01]}), runner.simulate
-
-    def stand_in(job, group, directory, **options):
-        if job.surface.seed >= 5:
-            raise Stopped("stopped by a test")
-        simulate(job, group, directory, **options)
-
-    monkeypatch.setattr(runner, "simulate", stand_in)
+    other = with_seeds([3, 4, 5, 6], load={"pressure": [0.01]})
+    failing(monkeypatch, Stopped("stopped by a test"), [5, 6])
     with pytest.raises(Stopped):
         pgfmd.run(other, folder, comm=comm, overwrite=True)
     found = pgfmd.Ensemble(folder)
@@ -222,26 +221,18 @@ def test_an_overwriting_that_was_stopped_is_continued(comm, shared_tmp_path, mon
     assert [len(run) for run in found.runs] == [1, 1, 1, 1] and found.status == "complete"
 
 
-def test_a_wrong_input_leaves_nothing(comm, shared_tmp_path):
-    """A surface without a mode fails for every seed alike: one line, and no folder."""
-    job = with_seeds("1..3")
-    job["surface"] = job["surface"] | {"lambda_s": 10.1, "lambda_l": 10.1}
-    with pytest.raises(InputError, match="no mode"):
-        pgfmd.run(job, shared_tmp_path / "out", comm=comm)
-    comm.Barrier()
-    assert not (shared_tmp_path / "out").exists()
-
-
-def test_a_wrong_input_leaves_an_ensemble_as_it_was(comm, shared_tmp_path):
-    """--overwrite by a job that fails for every seed, before it has written anything: not a byte has changed."""
-    folder = shared_tmp_path / "out"
+def test_a_wrong_input_leaves_a_folder_as_it_was(comm, shared_tmp_path):
+    """A surface without a mode fails for every seed alike: one line, and no folder, or not a byte of it has changed."""
+    none, folder = shared_tmp_path / "none", shared_tmp_path / "out"
     pgfmd.run(with_seeds([3, 4]), folder, comm=comm)
     before = (folder / "ensemble.h5").read_bytes()
     job = with_seeds([3, 4])
-    job["surface"] = job["surface"] | {"lambda_s": 10.1, "lambda_l": 10.1}
-    with pytest.raises(InputError, match="no mode"):
-        pgfmd.run(job, folder, comm=comm, overwrite=True)
+    job["surface"] |= {"lambda_s": 10.1, "lambda_l": 10.1}
+    for place, mode in ((none, {}), (folder, {"overwrite": True})):
+        with pytest.raises(InputError, match="no mode"):
+            pgfmd.run(job, place, comm=comm, **mode)
     comm.Barrier()
+    assert not none.exists()
     assert (folder / "ensemble.h5").read_bytes() == before and len(pgfmd.Ensemble(folder)) == 4
 
 

@@ -6,7 +6,7 @@ import signal
 
 import numpy as np
 import pytest
-from conftest import broad
+from conftest import broad, contents
 
 pytest.importorskip("mpi4py")
 
@@ -197,7 +197,7 @@ class StopsIn(Interruptions):
 def files(comm, folder) -> dict:
     """Every file below a folder, by its path, the same on all ranks."""
     comm.Barrier()
-    return comm.bcast({path: path.read_bytes() for path in folder.rglob("*") if path.is_file()})
+    return comm.bcast(contents(folder))
 
 
 COSTS = ("iterations", "transforms", "seconds", "pressure_error", "certified_error", "max_violation")

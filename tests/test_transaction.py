@@ -10,7 +10,7 @@ from contextlib import contextmanager
 import h5py
 import numpy as np
 import pytest
-from conftest import broad
+from conftest import broad, contents
 from mpi4py import MPI
 
 from pgfmd.application.files import Form, holder, read_sums, sha256
@@ -148,11 +148,11 @@ def test_a_run_that_fails_leaves_the_old_results(tmp_path):
     """Whatever ends it before its first load is written: byte for byte."""
     folder = tmp_path / "out"
     run(folder, 1.0, "new")
-    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    before = contents(folder)
     for error in (InputError("not reachable"), SolverError("no descent"), OSError(28, "full"), ValueError("alone")):
         with pytest.raises(type(error)):
             run(folder, 2.0, "overwrite", stop=error)
-        assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
+        assert contents(folder) == before
 
 
 def test_the_first_error_is_the_one_that_is_raised(tmp_path, monkeypatch):
@@ -172,10 +172,10 @@ def test_a_run_that_is_stopped_goes_on_from_its_checkpoint(tmp_path):
     folder = tmp_path / "out"
     with pytest.raises(Stopped):
         run(folder, 1.0, "new", stop=Stopped())
-    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    before = contents(folder)
     with pytest.raises(Stopped):
         run(folder, 2.0, "overwrite", stop=Stopped())
-    after = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    after = contents(folder)
     assert {path: after[path] for path in before} == before
     assert {str(path.relative_to(folder)) for path in after.keys() - before.keys()} == {"fields-2/checkpoint.h5"}
     for job, fields in ((1.0, "fields"), (2.0, "fields-2")):
