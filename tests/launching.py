@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import random
 import signal
 import subprocess
 import sys
@@ -26,8 +27,6 @@ def write_job(path: Path, n: int, lambda_s: float = 16.0, pressures=SIX_LOADS, i
     surface = {"lambda_s": lambda_s, "rms_slope": 0.031, "seed": 1}
     path.write_text(rough_job(n, surface, **_strict(pressures, interval, observables=["histogram"])))
     return path
-
-
 
 
 def write_file_job(path: Path, n: int, heights: Path, pressure: float) -> Path:
@@ -55,6 +54,21 @@ def start(ranks: int, *arguments, script=("-m", "pgfmd"), environment=None) -> s
         command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, cwd=ROOT,
         start_new_session=True, env=dict(os.environ) | (environment or {}),
     )  # fmt: skip
+
+
+def by_chance() -> random.Random:
+    """Chances of a new seed, which is shown if the test fails."""
+    seed = time.time_ns()
+    print(f"seed {seed}")
+    return random.Random(seed)
+
+
+def until_loads(run: subprocess.Popen, folder: Path, count: int = 1) -> None:
+    """Waits until so many loads are in a folder, which may not be there yet."""
+    end = time.monotonic() + 300
+    while not (folder / "observables.h5").exists() or len(Results(folder)) < count:
+        assert run.poll() is None and time.monotonic() < end
+        time.sleep(0.2)
 
 
 def wait_for_folder(run: subprocess.Popen, folder: Path) -> float:

@@ -5,7 +5,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from contextlib import ExitStack, contextmanager
 
 import launching
@@ -161,20 +160,13 @@ def batch(tmp_path, script: str, *arguments, **variables) -> subprocess.Popen:
     return subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True, start_new_session=True)
 
 
-def completed(folder) -> int:
-    """Loads in a folder, which may not be there yet."""
-    return len(Results(folder)) if (folder / "observables.h5").exists() else 0
-
-
 @pytest.mark.breadth
 def test_slurm_job_is_requeued(tmp_path):
     """SIGUSR1 to the script, as SLURM sends it: the run of an array's task ends with 75 and is queued again."""
     job = launching.write_job(tmp_path / "a job.toml", 64, lambda_s=8, pressures=LOADS)
     script = batch(tmp_path, "slurm.sh", job, tmp_path / "out", SLURM_ARRAY_TASK_ID="5")
-    folder, end = tmp_path / "out" / "seed-5", time.monotonic() + 300
-    while not completed(folder):
-        assert script.poll() is None and time.monotonic() < end
-        time.sleep(0.2)
+    folder = tmp_path / "out" / "seed-5"
+    launching.until_loads(script, folder)
     script.send_signal(signal.SIGUSR1)
     code, stderr = launching.wait(script, 300)
     assert code == 75, stderr
@@ -205,12 +197,10 @@ def test_pbs_job_is_submitted_again(tmp_path):
 def test_a_stop_file_ends_it(tmp_path, name):
     """STOP is the user's word: the run ends with 75, is not queued again, and the file stays."""
     job = launching.write_job(tmp_path / "job.toml", 64, lambda_s=8, pressures=LOADS)
-    folder, end = tmp_path / "out", time.monotonic() + 240
+    folder = tmp_path / "out"
     words = (job, folder) if name == "slurm.sh" else ()
     script = batch(tmp_path, name, *words, JOB=str(job), DIR=str(folder))
-    while not completed(folder):
-        assert script.poll() is None and time.monotonic() < end
-        time.sleep(0.2)
+    launching.until_loads(script, folder)
     (folder / "STOP").touch()
     code, stderr = launching.wait(script, 300)
     assert code == 75, stderr

@@ -1,7 +1,6 @@
 """Disks that fill up, folders that vanish, ranks that fail: a clear error soon, and what was complete stays good."""
 
 import os
-import random
 import subprocess
 import time
 from contextlib import contextmanager, nullcontext
@@ -32,20 +31,22 @@ original = owner.{name}
 def failing(*arguments):
     calls.append(1)
     if MPI.COMM_WORLD.rank == 1 and len(calls) == {call}:
-        raise ArithmeticError("the last straw")
+        raise {error}
     return original(*arguments)
 owner.{name} = failing
 """
+
+
+def fails_at_call(call, module, function, error="ArithmeticError('the last straw')"):
+    """Code by which that call of a function of a module, or of a method, fails on rank 1."""
+    owner, _, name = f"{module}.{function}".rpartition(".")
+    return FAILS_AT_CALL.format(call=call, module=module, owner=owner, name=name, error=error)
+
+
 FAULTS = {  # where a rank fails alone; in the output it is rank 0, since no other makes files
-    "in a thread": FAILS_AT_CALL.format(
-        module="solvers.active_set.active_set", owner="solvers.active_set.active_set", name="contact_sums", call=9
-    ),
-    "in a transform": FAILS_AT_CALL.format(
-        module="grid.transpose", owner="grid.transpose.SharedStrips", name="put", call=60
-    ),
-    "in a checkpoint": FAILS_AT_CALL.format(
-        module="application.hdf5_slabs", owner="application.hdf5_slabs.Field", name="block", call=9
-    ),
+    "in a thread": fails_at_call(9, "solvers.active_set.active_set", "contact_sums"),
+    "in a transform": fails_at_call(60, "grid.transpose", "SharedStrips.put"),
+    "in a checkpoint": fails_at_call(9, "application.hdf5_slabs", "Field.block"),
     "in the output": """
 from pgfmd.application import files
 original = files.reserve
@@ -58,15 +59,19 @@ files.reserve = failing
 }
 
 
+def run_with(fault, job, folder, ranks, timeout, **environment):
+    """Exit code and stderr of a run of a job in that folder, with that code before it; fails if it hangs."""
+    script = folder / "faulty.py"
+    script.write_text(FAULTY.format(fault=fault))
+    options = {"script": (script,), "environment": environment}
+    return launching.wait(launching.start(ranks, "run", job, "--output", folder / "out", **options), timeout)
+
+
 @pytest.mark.parametrize("where", broad(FAULTS))
 def test_failure_on_one_rank_ends_all(tmp_path, where):
     """An exception on one rank, wherever it is, ends both with its message and an exit code."""
-    script = tmp_path / "faulty.py"
-    script.write_text(FAULTY.format(fault=FAULTS[where]))
     job = launching.write_job(tmp_path / "job.toml", 64, lambda_s=8, pressures=LOADS)
-    environment = {"OMP_NUM_THREADS": "2"}
-    run = launching.start(2, "run", job, "--output", tmp_path / "out", script=(script,), environment=environment)
-    code, stderr = launching.wait(run, 180)
+    code, stderr = run_with(FAULTS[where], job, tmp_path, 2, 180, OMP_NUM_THREADS="2")
     assert code not in (0, 75) and "pgfmd: error:" in stderr and "the last straw" in stderr
     for _ in range(300):  # the launcher may end before the last rank, which holds the folder
         if Results(tmp_path / "out").status != "running":
@@ -75,20 +80,11 @@ def test_failure_on_one_rank_ends_all(tmp_path, where):
     assert Results(tmp_path / "out").status in ("failed", "interrupted")
 
 
-FAULTY_SEED = """
+GROUPS = """
 import types
-import pgfmd.grid.transpose
 from pgfmd.errors import InputError, SolverError
 from pgfmd.application import ensemble_run
-ensemble_run.Plan = lambda _: types.SimpleNamespace(rank_groups=lambda *_: {groups})
-owner, calls = pgfmd.grid.transpose.SharedStrips, []
-original = owner.put
-def failing(*arguments):
-    calls.append(1)
-    if MPI.COMM_WORLD.rank == 1 and len(calls) == 60:
-        raise {error}
-    return original(*arguments)
-owner.put = failing
+ensemble_run.Plan = lambda _: types.SimpleNamespace(rank_groups=lambda *_: {})
 """
 
 
@@ -97,12 +93,10 @@ owner.put = failing
 def test_failure_on_one_rank_of_a_group_ends_an_ensemble(tmp_path, kind, ranks):
     """A rank fails while another of its group waits for it in the solver: whatever the error, the run ends, with one
     message.  It is not a seed that failed, since the group cannot go on to the next."""
-    script = tmp_path / "faulty.py"
-    script.write_text(FAULTY.format(fault=FAULTY_SEED.format(error=f"{kind}('the last straw')", groups=ranks // 2)))
+    fault = fails_at_call(60, "grid.transpose", "SharedStrips.put", f"{kind}('the last straw')")
     surface = {"lambda_s": 8.0, "rms_slope": 0.03, "seed": [1, 2, 3]}
     (tmp_path / "job.toml").write_text(rough_job(64, surface, load={"pressure": LOADS}))
-    run = launching.start(ranks, "run", tmp_path / "job.toml", "--output", tmp_path / "out", script=(script,))
-    code, stderr = launching.wait(run, 120)  # fails if it hangs
+    code, stderr = run_with(GROUPS.format(ranks // 2) + fault, tmp_path / "job.toml", tmp_path, ranks, 120)
     assert code not in (0, 75) and sum(line.startswith("pgfmd: ") for line in stderr.splitlines()) == 1, stderr
     assert "the last straw" in stderr
 
@@ -175,9 +169,7 @@ def small_disk(path, size: int):
 
 def fill_disks(tmp_path, n: int, times: int, ranks: int):
     """Runs on small disks that something else fills at random moments; then space is made, and they go on."""
-    seed = time.time_ns()
-    print(f"seed {seed}")  # shown if the test fails
-    chance = random.Random(seed)
+    chance = launching.by_chance()
     job = launching.write_job(tmp_path / "job.toml", n, lambda_s=n / 64, pressures=LOADS, interval=0.2)
     run = launching.start(ranks, "run", job, "--output", tmp_path / "reference")
     began = launching.wait_for_folder(run, tmp_path / "reference")
@@ -261,9 +253,6 @@ def failing(self, rows):
 if MPI.COMM_WORLD.rank == 1:
     hdf5_slabs.Field.block = failing
 """
-    script = tmp_path / "faulty.py"
-    script.write_text(FAULTY.format(fault=fault))
     job = launching.write_job(tmp_path / "job.toml", 64, lambda_s=8, pressures=LOADS[:1])
-    run = launching.start(2, "run", job, "--output", tmp_path / "out", script=(script,))
-    code, stderr = launching.wait(run, 60)  # fails if it hangs
+    code, stderr = run_with(fault, job, tmp_path, 2, 60)
     assert code == 130 and "Traceback" not in stderr, stderr

@@ -1,7 +1,6 @@
 """Runs that are killed at random moments, and go on."""
 
 import contextlib
-import random
 import shutil
 import subprocess
 import time
@@ -9,6 +8,7 @@ import time
 import launching
 import numpy as np
 import pytest
+from conftest import contents
 
 from pgfmd.application.ensemble import Ensemble
 from pgfmd.application.results import Results
@@ -20,9 +20,7 @@ def campaign(tmp_path, n: int, kills: int, interval: float):
     """Runs of six loads, each killed at a random moment, restarted on 1 to 3 ranks, killed again …, until it gets
     through; until there were so many kills.  Every load that a run leaves behind is compared with an undisturbed run.
     """
-    seed = time.time_ns()
-    print(f"seed {seed}")  # shown if the test fails
-    chance = random.Random(seed)
+    chance = launching.by_chance()
     job = launching.write_job(tmp_path / "job.toml", n, lambda_s=n / 64, interval=interval)
     began = time.monotonic()
     launching.complete(2, "run", job, "--output", tmp_path / "reference")
@@ -60,9 +58,7 @@ def campaign(tmp_path, n: int, kills: int, interval: float):
 def changed(tmp_path, n: int, kills: int):
     """Complete results are replaced by runs of other heights, of another job, or of another version, each killed at a
     random moment: what is there is what was, or what was to be, and goes on as that and as nothing else."""
-    seed = time.time_ns()
-    print(f"seed {seed}")
-    chance, lengths = random.Random(seed), []
+    chance, lengths = launching.by_chance(), []
     jobs, heights = {}, tmp_path / "heights.npy"
     rough = np.random.default_rng(1).normal(size=(n, n))
     rough = np.fft.rfft2(rough) * (np.hypot(*np.meshgrid(np.fft.rfftfreq(n), np.fft.fftfreq(n))) < 4.5 / n)
@@ -84,13 +80,13 @@ def changed(tmp_path, n: int, kills: int):
         folder, name = tmp_path / f"kill {number}", ("inputs", "job", "version")[number % 3]
         script = (other_version,) if name == "version" else ("-m", "pgfmd")
         shutil.copytree(tmp_path / "as old", folder)
-        before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+        before = contents(folder)
         np.save(heights, surfaces[name])
         ranks = chance.choice([1, 2, 3])
         refused = launching.start(ranks, "run", jobs[name], "--output", folder, "--restart", script=script)
         code, stderr = launching.wait(refused, 300)
         assert code == 2 and "cannot be continued" in stderr, stderr
-        assert before == {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+        assert before == contents(folder)
         run = launching.start(ranks, "run", jobs[name], "--output", folder, "--overwrite", script=script)
         launching.wait_for_folder(run, folder)
         time.sleep(chance.choice([0.02, 1]) * chance.uniform(0, 0.6 * max(lengths)))  # also before the first load
@@ -119,9 +115,7 @@ def test_a_killed_ensemble_goes_on_with_more_seeds(tmp_path):
     """Killed twice at random moments, restarted on other rank counts, then with seeds added: what was complete is kept
     as it is (its seconds are those of the first time), and all seeds and their means are those of an undisturbed run.
     """
-    seed = time.time_ns()
-    print(f"seed {seed}")  # shown if the test fails
-    chance = random.Random(seed)
+    chance = launching.by_chance()
     job = launching.write_job(tmp_path / "job.toml", 128, lambda_s=8, pressures=[0.001, 0.002])
     reference, folder, kept = tmp_path / "reference", tmp_path / "out", {}
     every = ("--set", "surface.seed=1..8")

@@ -34,11 +34,6 @@ def interruptions_at(comm, folder, interval=1e9, time_limit=1e9) -> tuple[Interr
     return Interruptions(comm, folder, interval, time_limit, clock), clock
 
 
-def completed(folder) -> int:
-    """Loads in a folder, which may not be there yet."""
-    return len(Results(folder)) if (folder / "observables.h5").exists() else 0
-
-
 @pytest.mark.mpi
 def test_checkpoints_on_the_clock(comm, shared_tmp_path):
     """One checkpoint per interval, counted from the last one or from a completed load; interval 0: at each look."""
@@ -178,9 +173,7 @@ def test_stop_and_go_on(tmp_path, how):
     folder = tmp_path / "out"
     job = launching.write_job(tmp_path / "job.toml", 64, lambda_s=8, pressures=MANY)
     run = launching.start(2, "run", job, "--output", folder)
-    while completed(folder) < 1:
-        assert run.poll() is None
-        time.sleep(0.2)
+    launching.until_loads(run, folder)
     if how == "STOP":
         (folder / "STOP").touch()
     elif how == "SIGUSR1":
@@ -194,8 +187,6 @@ def test_stop_and_go_on(tmp_path, how):
     assert read.status == "stopped" and 1 <= len(read) < len(MANY)
     (folder / "STOP").touch()  # one from before does not stop the run that is to go on
     again = launching.start(1, "run", job, "--output", folder, "--restart")
-    while completed(folder) <= len(read):
-        assert again.poll() is None
-        time.sleep(0.2)
+    launching.until_loads(again, folder, len(read) + 1)
     launching.kill(again)
     launching.wait(again)
