@@ -216,13 +216,6 @@ def test_a_class_that_is_not_whole_is_named():
             pgfmd.register(wrong)
 
 
-def _wrong(**changed):
-    """An exponential wall of which some methods are replaced."""
-    own = {"kind": "wrong", "in_units": _in_units} | changed
-    pgfmd.register(dataclass(frozen=True, kw_only=True)(type("Wrong", (ExponentialWall,), own)))
-    return {"kind": "wrong", "zeta": 0.3}
-
-
 def _in_units(self, units, factor=1.0):
     return type(self)(zeta=factor * self.zeta / units.height, sigma_ref=1.0)
 
@@ -245,8 +238,11 @@ def _no_residual(self, pressure, gap, residual, compliance, level):
     ({"releases": True}, "releases: True is for laws of reach 0"),
 ])  # fmt: skip
 def test_a_law_that_contradicts_itself_is_refused(changed, words):
-    """Units, answers, excess and contact lines of a user's law are compared with its gaps."""
-    heights, law = np.diag([0.1, 0.0, 0.0, 0.0]), _wrong(**changed)
+    """Units, answers, excess and contact lines of a user's law, here an exponential wall of which some methods are
+    replaced, are compared with its gaps."""
+    own = {"kind": "wrong", "in_units": _in_units} | changed
+    pgfmd.register(dataclass(frozen=True, kw_only=True)(type("Wrong", (ExponentialWall,), own)))
+    heights, law = np.diag([0.1, 0.0, 0.0, 0.0]), {"kind": "wrong", "zeta": 0.3}
     if not words:
         assert pgfmd.solve(heights, 0.01, wall=law, method="gfmd").certified_error < 1e-8
         return

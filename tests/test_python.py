@@ -16,10 +16,9 @@ from pgfmd.parallel.collectives import slab
 
 pytestmark = pytest.mark.mpi
 
-ROUGH = {"kind": "self-affine", "hurst": 0.8, "lambda_s": 8.0, "rms_slope": 0.1, "seed": 3}
 JOB = {
     "grid": {"n": 48},
-    "surface": ROUGH,
+    "surface": {"kind": "self-affine", "hurst": 0.8, "lambda_s": 8.0, "rms_slope": 0.1, "seed": 3},
     "solid": {"contact_modulus": 2.0},
     "load": {"pressure": [0.004, 0.02]},
     "solver": {"tolerance": 1e-18},

@@ -81,8 +81,6 @@ def test_no_two_files_of_the_package_have_one_name():
 
 MODULES = {".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts): path for path in FILES}
 MODULES = {name.removesuffix(".__init__"): path for name, path in MODULES.items()}
-# For tools on a laptop.
-SERIAL = ("pgfmd", "pgfmd.theory", "pgfmd.application.results", "pgfmd.observables.binning")
 
 
 def imported(path: Path):
@@ -156,7 +154,7 @@ def test_libraries_stay_where_they_belong(outside, allowed):
     assert users <= allowed
 
 
-@pytest.mark.parametrize("name", SERIAL)
+@pytest.mark.parametrize("name", ["pgfmd", "pgfmd.theory", "pgfmd.application.results", "pgfmd.observables.binning"])
 def test_serial_parts_need_no_mpi(name):
     """`import pgfmd`, the readers and the theory work without mpi4py, numba and FFT libraries."""
     code = f"import sys; sys.modules.update(mpi4py=None, numba=None, pyfftw=None, mpi4py_fft=None); import {name}"
