@@ -17,7 +17,7 @@ from pgfmd.application.simulate import simulate
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.solids.graded import Graded
-from pgfmd.physics.solids.homogeneous import Layered
+from pgfmd.physics.solids.layered import Layered
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.options import Solver
 

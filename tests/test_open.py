@@ -22,7 +22,8 @@ from pgfmd.observables.patch_table import label_patches
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids import open_kernel
-from pgfmd.physics.solids.homogeneous import Homogeneous, Layered
+from pgfmd.physics.solids.homogeneous import Homogeneous
+from pgfmd.physics.solids.layered import Layered
 from pgfmd.solvers.active_set import cropping
 from pgfmd.solvers.active_set.active_set import Relaxation, State
 from pgfmd.solvers.active_set.contact_from_coarse import ActiveSetIteration

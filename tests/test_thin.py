@@ -16,7 +16,7 @@ from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.laws.exponential_law import ExponentialWall
 from pgfmd.physics.laws.hard import Hardness, HardWall
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.physics.solids.homogeneous import Layered
+from pgfmd.physics.solids.layered import Layered
 from pgfmd.solvers import dispatch
 from pgfmd.solvers.active_set import contact_from_coarse, particle_mesh
 from pgfmd.solvers.active_set.active_set import State

@@ -4,6 +4,7 @@ from pgfmd.observables.adhesive_state import Adhesion
 from pgfmd.observables.bearing_area import Bearing
 from pgfmd.observables.contact_patches import ContactPatches
 from pgfmd.observables.discretisation import Discretisation
+from pgfmd.observables.gap_slope import GapSlope
 from pgfmd.observables.histogram import Histogram
 from pgfmd.observables.leakage import Leakage
 from pgfmd.observables.lowpass import Lowpass
@@ -12,7 +13,7 @@ from pgfmd.observables.partial_slip import PartialSlip
 from pgfmd.observables.percolation import ClosingLoad, Percolation
 from pgfmd.observables.pressure_skewness import PressureSkewness
 from pgfmd.observables.schema import GroupLayout
-from pgfmd.observables.spectra import Acf, GapSlope, GapSpectrum, Spectra
+from pgfmd.observables.spectra import Acf, GapSpectrum, Spectra
 from pgfmd.observables.stiffness import Stiffness
 from pgfmd.observables.subsurface import Subsurface
 

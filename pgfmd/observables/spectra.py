@@ -1,6 +1,5 @@
 """Power spectra of stress, contact, heights and gap, and autocorrelations, averaged over direction."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +10,7 @@ from pgfmd.grid.transforms import source
 from pgfmd.observables.binning import lag_bins
 from pgfmd.observables.contact import Contact
 from pgfmd.observables.observable import Observable, Spectrum, spectrum_layout
-from pgfmd.observables.rough_surface import correlate, squared
+from pgfmd.observables.rough_surface import correlate
 from pgfmd.observables.schema import Dataset, Groups
 from pgfmd.options.rules import choice, integer
 from pgfmd.options.section import key
@@ -66,31 +65,6 @@ class GapSpectrum(Spectrum):
         modes = surface.rings(self.edges(surface.cell, surface.cutoff))
         found = correlate(surface.grid, source(contact.gap), modes)
         return {"gap_spectrum": modes.means(found.power, "q")}
-
-
-@dataclass(frozen=True, kw_only=True)
-class GapSlope(Observable):
-    """√⟨|∇g|²⟩ = √Σ q²|g̃(q)|² over all modes of the gap, points in contact included."""
-
-    name = "gap_slope"
-    usual_cost = Cost(transforms=0.5)  # one forward transform
-    needs_period = "from the modes of the gap"
-    layout = {"loads": {"gap_rms_slope": Dataset("1", "rms slope of the gap over the cell, from its modes")}}
-
-    def measure(self, contact: Contact) -> Groups:
-        """One forward transform.  Collective."""
-        grid, parts = contact.grid, dict[int, tuple[float]]()
-        unit = min(grid.spacing)  # of lengths here, so that no square overflows
-        along, across = (unit * grid.qx[0]) ** 2, (unit * grid.qy[:, 0]) ** 2
-        weight = grid.hermitian_weight[:, 0]
-
-        def add(block: np.ndarray, first: int, stop: int) -> None:
-            power = squared(block)
-            parts[first] = (float(weight[first:stop] @ (power @ along + across[first:stop] * power.sum(axis=1))),)
-
-        grid.read_spectrum(source(contact.gap), add)
-        (total,) = grid.reduction.sums_of_blocks(parts, 1)
-        return {"loads": {"gap_rms_slope": np.array(math.sqrt(total) / grid.size / unit)}}
 
 
 def acf_layout(name: str, unit: str, what: str) -> dict:

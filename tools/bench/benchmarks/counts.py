@@ -29,7 +29,8 @@ from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel.mpi import world
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.physics.solids.homogeneous import Homogeneous, Layered
+from pgfmd.physics.solids.homogeneous import Homogeneous
+from pgfmd.physics.solids.layered import Layered
 from pgfmd.solvers.active_set.cropping import solve_hard_wall
 from pgfmd.solvers.load_control import LoadControl
 from pgfmd.solvers.options import Load
