@@ -57,7 +57,7 @@ def start(ranks: int, *arguments, script=("-m", "pgfmd"), environment=None) -> s
 
 
 def by_chance() -> random.Random:
-    """Chances of a new seed, which is shown if the test fails."""
+    """A random generator of a new seed, which pytest shows if the test fails."""
     seed = time.time_ns()
     print(f"seed {seed}")
     return random.Random(seed)
@@ -65,9 +65,9 @@ def by_chance() -> random.Random:
 
 def until_loads(run: subprocess.Popen, folder: Path, count: int = 1) -> None:
     """Waits until so many loads are in a folder, which may not be there yet."""
-    end = time.monotonic() + 300
+    end = time.monotonic() + 1200  # of a run that hangs: loads of tests take seconds
     while not (folder / "observables.h5").exists() or len(Results(folder)) < count:
-        assert run.poll() is None and time.monotonic() < end
+        assert run.poll() is None and time.monotonic() < end, f"{count} loads are not in {folder}"
         time.sleep(0.2)
 
 

@@ -1,4 +1,4 @@
-"""What is made of results, also by other programs: xarray, VTK, h5py, h5grove; `pgfmd compare` and `pgfmd cite`."""
+"""Results as NetCDF and .x3p; in other programs (xarray, VTK, h5py, h5grove); `pgfmd compare` and `pgfmd cite`."""
 
 import json
 import math

@@ -72,7 +72,8 @@ SEED = 27
 
 @pytest.mark.parametrize("count", broad([20, 60]))
 def test_every_law_with_every_control(count):
-    """None of the trips of 20 pairs is wrong; refused are areas of walls that touch everywhere, others seldom."""
+    """One trip of each of the 20 pairs, or three: none wrong; refused are areas of walls that touch everywhere, and
+    seldom others: full contact, or a gap that determines no load."""
     verdicts, refused = Counter(), Counter()
     for number, trip, outcome in round_trips.trips(SEED, 0, count):
         assert outcome.verdict != "wrong", f"seed {SEED}, trip {number}: {trip}: {outcome.detail}"

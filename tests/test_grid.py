@@ -77,7 +77,8 @@ def test_one_node_without_shared_memory(comm, monkeypatch, caplog):
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 @pytest.mark.parametrize("shape", [(9, 8), (300, 290), (11, 600)])
 def test_nodes_that_are_not_alike(comm, monkeypatch, caplog, shape, dtype):
-    """Nodes of 1 and n − 1, n − 1 and 1, and 1, n − 2 and 1 ranks: one message to each other node, and one line."""
+    """Nodes of 1 and n − 1, n − 1 and 1, and 1, n − 2 and 1 ranks: spectra are right, each rank sends one message to
+    every other node, and one line says so."""
     if comm.size < 3:
         pytest.skip("two nodes that differ have three ranks")
     caplog.set_level("INFO", "pgfmd")

@@ -76,6 +76,22 @@ def test_two_dimensional_sinusoid(comm, row):
     assert abs(grid.reduction.max(found.pressure) / full - table["peak_pressure"]) <= 2e-3
 
 
+@pytest.mark.mpi("breadth")
+@pytest.mark.parametrize("thickness", [np.inf, 2.0])
+@pytest.mark.parametrize("load", [1e-100, 1e-30, 1e-9, 1e-5])
+def test_light_loads_on_several_grids(comm, load, thickness):
+    """Through a coarser grid too, the load is carried to 1e-12, and the lightest by the summits alone."""
+    grid = SlabGrid(comm, (40, 36))
+    x, y = np.meshgrid(np.arange(40)[grid.rows], np.arange(36), indexing="ij")
+    summits = 1.0 * ((x == 3) & (y == 4) | (x == 20) & (y == 21))
+    for heights in (self_affine(grid, 0.8, 4.0, 0.1, 1), summits):
+        found = solve_hard_wall(under_hard_wall(grid, heights, load, elastic(1.0, thickness)), 1e-10)
+        assert 0 < found.certified_error <= 1e-10
+        assert grid.reduction.sum(found.pressure) == pytest.approx(load * grid.size, rel=1e-12, abs=0)
+        if load <= 1e-30:
+            assert np.array_equal(found.pressure > 0, heights == grid.reduction.max(heights))
+
+
 def test_periodic_hertz(comm):
     """Radius and peak pressure at a_H/L = 0.1 on 512² to 1e-4 (the theory's own terms beyond are 1e-5)."""
     grid = SlabGrid(comm, (512, 512), (1.0, 1.0))

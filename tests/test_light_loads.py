@@ -27,7 +27,7 @@ SLABS = broad([(base, thickness) for thickness in THICKNESSES for base in ("bond
 
 
 def surface(kind: str) -> np.ndarray:
-    """Heights (N, N) of a paraboloid, of two summits that are equally high, or a rough surface."""
+    """Heights (N, N): a paraboloid, two equal summits, or white noise."""
     x = np.arange(N) - N / 2
     if kind == "two summits":
         return 1.0 * np.isin(np.arange(N * N), (3 * N + 4, 8 * N + 9)).reshape(N, N)

@@ -43,7 +43,7 @@ HISTOGRAM = {
 
 @contextmanager
 def writer(comm, folder, mode="new", **options):
-    """A writer of a 13 × 6 grid; all ranks wait for each other before and after."""
+    """A writer of a 13 × 6 grid; all ranks wait for each other before and, unless an error ends it, after."""
     comm.Barrier()
     form = output.Form(SHAPE, LENGTHS, slab(SHAPE[0], comm.size, comm.rank), groups=LAYOUT, **options)
     with output.ResultWriter(comm, folder, Origin(JOB, job.as_toml(job.parse(JOB)), 3), form, mode) as result:

@@ -229,7 +229,8 @@ BENT = np.array([[0.1, 3.0], [0.2, 0.5], [1.0, 0.6], [2.5, 1e-4]])  # C that fal
 
 
 def saved(comm, path, table):
-    once(comm, *(np.save, path, table) if path.suffix == ".npy" else (np.savetxt, path, table, "%.18e", ", "))
+    write = (np.save, path, table) if path.suffix == ".npy" else (np.savetxt, path, table, "%.18e", ", ")
+    once(comm, *write)
     return str(path)
 
 

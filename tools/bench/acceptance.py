@@ -19,18 +19,6 @@ from pathlib import Path
 
 import numpy as np
 
-from pgfmd.application import info, machine
-from pgfmd.application.job import parse
-from pgfmd.application.results import Results
-from pgfmd.application.simulate import simulate
-from pgfmd.errors import InputError
-from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.parallel.mpi import library, world
-from pgfmd.physics.laws.hard import HardWall
-from pgfmd.physics.problem import ContactProblem
-from pgfmd.physics.solids.homogeneous import Homogeneous
-from pgfmd.solvers.dispatch import solve_contact
-
 JOB = """
 [grid]
 n = [{rows}, 256]
@@ -60,6 +48,14 @@ def check(folder: Path, ranks: int, rows: int) -> None:
 
     rows: of the run, for all numbers of ranks.  Raises InputError if MPI has not joined that many ranks.
     """
+    # Here, and not above: a report is written also where these cannot be imported.
+    from pgfmd.application import info, machine
+    from pgfmd.application.job import parse
+    from pgfmd.application.results import Results
+    from pgfmd.application.simulate import simulate
+    from pgfmd.errors import InputError
+    from pgfmd.parallel.mpi import library, world
+
     comm = world()
     if comm.size != ranks:
         raise InputError(
@@ -93,6 +89,12 @@ def check(folder: Path, ranks: int, rows: int) -> None:
 
 def wave(comm) -> float:
     """Error of p = p̄ + K h in full contact of the wave h = cos(2πx/n), over the amplitude.  Collective."""
+    from pgfmd.grid.slab_grid import SlabGrid
+    from pgfmd.physics.laws.hard import HardWall
+    from pgfmd.physics.problem import ContactProblem
+    from pgfmd.physics.solids.homogeneous import Homogeneous
+    from pgfmd.solvers.dispatch import solve_contact
+
     n = max(128, comm.size)
     grid = SlabGrid(comm, (n, 128))
     heights = np.cos(2 * np.pi * np.arange(n)[grid.rows, None] / n) * np.ones(128)

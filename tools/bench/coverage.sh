@@ -4,7 +4,7 @@
 #   bash tools/bench/coverage.sh [PYTEST'S ARGUMENTS…]     # after `bash tools/setup.sh test`; some 12 minutes
 #
 # Leaves .coverage, with the tests that run each line, for mutants.py.
-set -uo pipefail
+set -euo pipefail
 
 cd "$(dirname "${BASH_SOURCE[0]}")/../.." || exit 1
 source tools/env.sh
@@ -14,6 +14,6 @@ rm -f .coverage .coverage.*
 "$python" -m coverage run -m pytest -q -p no:cacheprovider "$@" | tail -n 3
 PGFMD_CACHE=$(mktemp -d) "$python" -m coverage run -m pytest -p uncompiled -q -p no:cacheprovider \
     tests/test_{kernels,patches,contact_line,inner,certify,hard_wall,exponential,formula_wall,hardness,loads,grid}.py \
-    tests/test_{surfaces,spectrum_surface,observables,spectra,light_loads,gfmd,bearing,leakage}.py | tail -n 1
+    tests/test_{surfaces,topography,observables,spectra,light_loads,gfmd,bearing,leakage}.py | tail -n 1
 "$python" -m coverage combine -q
 "$python" -m coverage report --skip-covered --sort=miss | tail -n 60

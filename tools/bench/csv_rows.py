@@ -7,18 +7,20 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 
-def read(path: Path) -> list[dict[str, str]]:
-    """The rows of a file; none if there is no file."""
-    if not path.exists():
+def read(path: Path, needed: bool = False) -> list[dict[str, str]]:
+    """The rows of a file.  A missing file has none; raises FileNotFoundError if it is needed."""
+    if not needed and not path.exists():
         return []
     with open(path, newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
 
 
 def write(path: Path, rows: Sequence[Mapping], digits: int = 0) -> None:
-    """Write a file, unless there are no rows; its columns are those of any row.  digits: of each float; 0: all."""
+    """Write a file anew, with the columns of all rows; there is none without rows.  digits: significant ones of floats;
+    0: as Python writes them.
+    """
+    path.unlink(missing_ok=True)
     if rows:
-        path.unlink(missing_ok=True)
         append(path, list(dict.fromkeys(name for row in rows for name in row)), rows, digits)
 
 
@@ -33,5 +35,7 @@ def append(path: Path, columns: Sequence[str], rows: Iterable[Mapping], digits: 
 
 
 def shown(value: object, digits: int = 6) -> str:
-    """A value as it stands in a table."""
+    """A value as it stands in a table, where None is nothing."""
+    if value is None:
+        return ""
     return f"{value:.{digits}g}" if digits and isinstance(value, float) else str(value)

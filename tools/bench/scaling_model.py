@@ -64,7 +64,7 @@ class Parts(NamedTuple):
 
 def growth_of(largest: int) -> dict[int, float]:
     """The growth of transforms to 1e-8 with n, on one rank, from `COUNTS`: λ_s = 16a, all H, areas and seeds there."""
-    rows = [row for row in csv_rows.read(COUNTS) if row.items() >= CASES.items()]
+    rows = [row for row in csv_rows.read(COUNTS, needed=True) if row.items() >= CASES.items()]
     of = {n: [float(row["transforms"]) for row in rows if int(row["n"]) == n] for n in {int(row["n"]) for row in rows}}
     here = np.mean([count for n, counts in of.items() if n <= max(largest, min(of)) for count in counts])
     return {n: float(np.mean(counts) / here) for n, counts in of.items()}

@@ -105,7 +105,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def command(file: str):
-    """The same for the figure of a file that Python runs: `python tools/plots/NAME.py DIR…`."""
+    """Draws the figure of a file that Python runs, `python tools/plots/NAME.py DIR…`, and exits."""
     sys.exit(main([Path(file).stem, *sys.argv[1:]]))
 
 

@@ -5,12 +5,12 @@ All reuse their plans (FFTW_MEASURE, as in pgfmd) and buffers; only the pair is 
 
 from __future__ import annotations
 
-import csv
 import json
 import sys
 import time
 from pathlib import Path
 
+import csv_rows
 import numpy as np
 
 from pgfmd.grid.slab_grid import SlabGrid
@@ -45,10 +45,9 @@ def main(folder: Path, n: int = 4096) -> None:
             for kind, seconds in _run(name, ranks, threads, n).items():
                 key = (name, ranks, threads, kind)
                 best[key] = min(seconds, best.get(key, float("inf")))
-    with open(folder / "transforms.csv", "w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(["n", "library", "ranks", "threads", "precision", "seconds"])
-        writer.writerows([n, *key, f"{seconds:.5f}"] for key, seconds in best.items())
+    names = ("n", "library", "ranks", "threads", "precision", "seconds")
+    rows = [dict(zip(names, (n, *key, seconds), strict=True)) for key, seconds in best.items()]
+    csv_rows.write(folder / "transforms.csv", rows, digits=4)
     _print(best, n)
 
 
