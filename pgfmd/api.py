@@ -71,7 +71,7 @@ class Options(TypedDict, total=False):
 
 
 class Imposed(Options, Generic[T], total=False):
-    """`Options`, and what can be imposed instead of a pressure: a number, or a list of numbers."""
+    """`Options`, and what can be imposed instead of a pressure: numbers (T: one, or a list), or `percolation`."""
 
     contact_area: T
     mean_gap: T
@@ -148,8 +148,8 @@ def solve(
     thickness, base ("bonded" if None), poisson: a slab instead of a half-space.  solid: a solid, or its keys as in
     [solid], instead of these and contact_modulus.  comm: the ranks that solve together; None: this process alone.
     method: see `solvers.options`.  storage: precision of heights, pressure and gap, "float32" for a hard wall on a
-    periodic cell alone, for large grids: 4 to 5 bytes per point less.  start: a pressure to begin with, under a wall
-    that attracts a gap, split like the fields of the answer.  refine: those are on a grid with so many times the points
+    periodic cell alone, for large grids: 4 to 5 bytes per point less.  start: a pressure (where the wall attracts, a
+    gap) to begin with, split like the fields of the answer.  refine: those are on a grid with so many times the points
     each way, onto which the heights of a periodic surface are interpolated by their Fourier modes.  tolerance:
     certified relative energy error (1e-8: pressures to some 1e-3 … 1e-4 of their rms value).  threads: of this process;
     OMP_NUM_THREADS or the free cores if None.  progress: whether to show a bar; None: in notebooks only.

@@ -23,9 +23,7 @@ SPACING = pair(number(low=1e-150, high=1e150))  # so that their squares neither 
 
 
 def surface_of(given: Any, spacing: Any, comm: MPI.Comm) -> tuple[np.ndarray, Any]:
-    """Heights and spacing of an array or a topography.  The heights share no memory that others may write.  Raises
-    InputError.
-    """
+    """Heights, sharing no memory that others may write, and spacing of an array or topography; raises InputError."""
     values, spacing = measured_heights(given, spacing, comm)
     heights = real_numbers("heights", values)
     if heights.ndim != 2 or heights.size == 0:

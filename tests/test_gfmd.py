@@ -60,7 +60,8 @@ SAME = {  # points a side, heights, solid, law, mean pressure, tolerance of the 
 
 @pytest.mark.parametrize("case", SAME)
 def test_dynamics_agree_with_the_law_s_own_method(comm, case):
-    """By two methods that share the law alone: pressures to 1e-5, areas to 1e-3 (edges bear next to nothing), mean gaps to 1e-6, energies to 1e-5."""
+    """By two methods that share the law alone: pressures to 1e-5, areas to 1e-3 (edges bear next to nothing), mean gaps
+    to 1e-6, energies to 1e-5."""
     n, heights, solid, law, load, tolerance = SAME[case]
     grid = SlabGrid(comm, (n, n))
     problem = ContactProblem(grid, heights(grid), solid, law, load)

@@ -72,7 +72,9 @@ def run_ensemble(simulate: Simulate, job: Job, comm: MPI.Comm, path: Path, mode:
 
 
 def _refuse_others(job: Job, path: Path, mode: str) -> bytes | None:
-    """The bytes of ensemble.h5, None without one.  Raises InputError if `mode` does not allow to change the folder."""
+    """The bytes of ensemble.h5, None without one.  Raises InputError if the folder holds one surface, or an ensemble
+    that `mode` does not allow to change.  Rank 0.
+    """
     if (path / files.OBSERVABLES_FILE).exists():
         raise InputError(f"{path}: holds the results of one surface; choose another folder for an ensemble")
     if not (path / files.ENSEMBLE_FILE).exists():

@@ -125,7 +125,7 @@ def revise(path: Path, change: Change, sync: bool = True) -> None:
 def create(path: Path, fill: Change, begun: bytes = b"", sync: bool = True) -> None:
     """Let `fill` write a small HDF5 file, in the place of one that is there.  Raises OSError.
 
-    begun: the bytes of a file, to which `fill` adds.  It works in memory: HDF5 crashes when a disk is full.
+    begun: bytes of the file that `fill` changes, if any.  All in memory, as HDF5 crashes when a disk is full.
     """
     content = io.BytesIO(begun)
     with h5py.File(content, "r+" if begun else "w", libver=LIBVER) as file:

@@ -79,8 +79,9 @@ def create_dataset(file: h5py.File, name: str, shape: tuple[int, int], dtype: np
 def replace_by(comm: MPI.Comm, form: Form, path: Path, fields: dict[str, Field], create: Create) -> None:
     """Write a file of `fields` beside `path`, then rename it; after a failure it is removed.  Collective.
 
-    create(file, name) makes the dataset of a field by `create_dataset`, on rank 0.  HDF5 crashes or hangs when a disk
-    is full; so the whole file is reserved before HDF5 writes.  All ranks raise an error of one; OSError: a full disk.
+    form: its shape, rows and hints count.  create(file, name) makes the dataset of a field by `create_dataset`, on rank
+    0.  HDF5 crashes or hangs when a disk is full; so the whole file is reserved before HDF5 writes.  All ranks raise an
+    error of one; OSError: a full disk.
     """
     draft, nx = files.temporary(path), form.shape[0]
     sizes = [nx * field.row_bytes for field in fields.values()]

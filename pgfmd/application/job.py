@@ -218,7 +218,7 @@ def _job(plugins: tuple[Plugin, ...], values: bytes) -> Job:
 
 
 _SECTIONS: tuple[type[Section] | Kinds, ...] = (Cell, SURFACES, SOLIDS, LAWS, Load, Solver, output_section(), Run)
-SECTIONS = {kind.where: kind for kind in _SECTIONS}  # the tables of a job; their fields are its keys
+SECTIONS = {kind.where: kind for kind in _SECTIONS}  # the classes of its tables; their fields are the keys
 
 
 def load(path: str | os.PathLike, overrides: list[str] | tuple[str, ...] = ()) -> Job:

@@ -232,7 +232,8 @@ class Loads:
     def _follow(self, grid: SlabGrid, state: SolverState) -> None:
         """Monitor along a branch, which restarts from its last load: no checkpoints within a load."""
         assert isinstance(self.control, Branch)
-        transforms = self.control.contact.grid.transforms - self._transforms  # of the torus, if boundaries are open
+        # Those of the torus, if boundaries are open; without those of probes.
+        transforms = self.control.contact.grid.transforms - self._transforms
         self.progress.step(grid.shape, state.error, state.contact / grid.size, transforms)
         self.interruptions.between_steps()
 

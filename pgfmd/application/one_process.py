@@ -141,9 +141,9 @@ def doubts(job: Job) -> list[str]:
     if job.imposed.control == "pressure" or not job.wall.convex:
         return []  # any surface bears it
     seeds = job.surface.seeds
-    jobs = [job.of_seed(seed) for seed in seeds] or [job]
-    if math.prod(job.cell.shape) * len(jobs) > MOST_TESTED:
+    if math.prod(job.cell.shape) * max(1, len(seeds)) > MOST_TESTED:
         return [f"whether each {job.load.control} can be reached is tested up to {MOST_TESTED} points only"]
+    jobs = [job.of_seed(seed) for seed in seeds] or [job]
     lines: dict[str, None] = {}
     for seed, each in zip(seeds or (0,), jobs, strict=True):
         grid = SlabGrid(ALONE, job.cell.shape, job.cell.lengths, domain=job.cell.domain)

@@ -27,7 +27,10 @@ def updates() -> bool:
 
 
 class Progress:
-    """Shows, on rank 0, the certified error of each load as it falls to the tolerance, and the time that is left."""
+    """Shows, on rank 0, the certified error of each load as it falls to the tolerance, and the time that is left.
+
+    loads: how many are to be solved; shape: of the grid; clock: in seconds
+    """
 
     def __init__(
         self,

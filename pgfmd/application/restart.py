@@ -29,12 +29,13 @@ _FIELD_FILE = re.compile(r"(?:height|load_\d{4,}(?:_(\w+))?|checkpoint)\.h5")
 
 @dataclass
 class EarlierResults:
-    """Results that are to be continued.
+    """Results that are to be continued, if there are any.
 
     completed: number of loads up to the last one that is written; job: the effective job (None: there is nothing to
     continue); inputs: path → digest of each file that the job names; version: of the program and of the file format;
     fields: load → names of its fields; table_files: load → paths of its groups that have a file; folder: of all these
-    files, and of new ones; damaged: names of loads with a missing or damaged file (`load_0002`), and `height`.
+    files, and of those that this run writes; damaged: names of loads with a missing or damaged file (`load_0002`), and
+    `height`.
     """
 
     completed: int = 0
@@ -60,7 +61,7 @@ class EarlierResults:
         return shown
 
     def find_damage(self, directory: Path) -> None:
-        """Find files that are missing, truncated, or have damaged metadata.  Does not read the numbers in them."""
+        """Find files of fields and groups that are missing, truncated, or have damaged metadata; reads no numbers."""
         fields = [(name, directory / self.folder / f"{name}.h5", keys) for name, keys in self.fields.items() if keys]
         groups: list[tuple[str, Path, list[str]]] = [
             (name, directory / path, []) for name, paths in self.table_files.items() for path in paths

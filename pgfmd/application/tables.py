@@ -82,7 +82,10 @@ def add_row(group: h5py.Group, index: int, row: Mapping[str, float], form: Form)
 
 
 def add_groups(file: h5py.File, index: int, groups: Groups, form: Form, links: Mapping[str, str]) -> h5py.Group:
-    """Write, or replace, the group of a load; returns it.  links: title → file, for groups with one of their own."""
+    """Write, or replace, the group of a load; returns it.
+
+    links: title of a group with a file of its own → path of that file, from the folder of `file`
+    """
     name = load_name(index)
     if name in file:
         del file[name]
@@ -131,7 +134,7 @@ def _without_loads(length_unit: str, pressure_unit: str) -> bytes:
 
 
 def read_columns(group: h5py.Group) -> dict[str, np.ndarray]:
-    """The columns of a table of loads: those of `LOADS`, then others by name.  Missing integers are NaN as well."""
+    """The columns of a table of loads: those of `LOADS`, then others by name.  Missing ones are NaN, integers too."""
     columns = {}
     for name in (*LOADS, *sorted(set(group) - LOADS.keys() - {"load"})):
         if group.id.links.exists(name.encode()):

@@ -116,7 +116,9 @@ class ResultWriter:
         return [index for index in range(self.origin.loads) if load_name(index) not in self._written]
 
     def begin(self) -> None:
-        """Remove leftovers of interrupted runs, and begin observables.h5 unless it holds old results.  Collective."""
+        """Removes leftovers of interrupted runs; starts or continues observables.h5, unless it is to be replaced later.
+        A second call does nothing.  Collective.
+        """
         if not self._begun:
             with self._changing(*[] if self.replacing else SMALL):
                 from_root(self.comm, self._remove_leftovers)
@@ -132,7 +134,7 @@ class ResultWriter:
         from_root(self.comm, self._sums.note, *names)
 
     def write_heights(self, heights: np.ndarray) -> None:
-        """Write the heights, of which this rank holds (nx_local, ny).  Raises OSError on all ranks.  Collective."""
+        """Write the heights, this rank's rows (nx_local, ny).  OSError on all ranks if it fails.  Collective."""
         self.begin()
         small = [] if self.replacing else [files.FIELDS_FILE, files.VTK_FILE]
         with self._changing(f"{self._fields.folder}/height.h5", *small):

@@ -131,7 +131,7 @@ class Contact(ContactSolution):
         return groups
 
     def measure(self) -> dict[str, Mapping[str, np.ndarray]]:
-        """What `observables` returns, of all those that the surface is asked for.  Collective."""
+        """The groups of all observables that the surface is asked for, as `observables` returns them.  Collective."""
         groups: dict[str, Mapping[str, np.ndarray]] = {}
         columns: dict[str, np.ndarray] = {}
         seconds = self.surface.seconds
@@ -280,7 +280,7 @@ class Contact(ContactSolution):
     @cached_property
     def cross_power(self) -> np.ndarray:
         """Sums of Re h̃* σ̃ over the bins of wave numbers, from |σ̃ + α h̃|² = |σ̃|² + α²|h̃|² + 2α Re h̃* σ̃, where α makes
-        both fields equally large.  One forward transform, and no spectrum is stored.
+        both fields equally large, so that few digits are lost.  One forward transform, and no spectrum is stored.
         """
         stress, height = self.stress.power, self.surface.correlations.power
         alpha = math.sqrt(stress[1:].sum()) / (math.sqrt(height[1:].sum()) or math.inf)

@@ -85,9 +85,9 @@ class ContactLine:
         corners: a quarter for each convex corner of the contact's outline, minus a quarter for each concave one; their
         sum over a patch is the number of its outer outlines less that of its holes.
         """
-        domain, (ax, ay) = self.grid.domain, self.grid.spacing  # at a border of no period, a pixel is its own neighbour
+        domain, (ax, ay) = self.grid.domain, self.grid.spacing  # at the border of a patch a pixel is its own neighbour
         stiffness = self.solid.surface_modulus * np.array([self.tables[0].scale or 1.0, self.tables[1].scale or 1.0])
-        scales, ratios = stiffness / (ax, ay), np.array([ay / ax, ax / ay])
+        scales, ratios = stiffness / (ax, ay), np.array([ay / ax, ax / ay])  # k of `contact_line`; steps across
         pressure, gap = (_with_margin(*each, first, stop) for each in zip(self.fields[:2], self.fields[2], strict=True))
         inside, ny = pressure > 0, pressure.shape[1]
         here, closed = inside[2:-2], inside[1:-3] & inside[2:-2] & inside[3:-1]

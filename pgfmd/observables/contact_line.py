@@ -185,7 +185,8 @@ def edge_table(ratio: float, solid: Solid | None = None, step: float = 1.0) -> E
 
 def staircase(problem: ContactProblem, roughness: float) -> float:
     """By how much counting pixels overestimates an area, per length of pixel edges between contact and non-contact:
-    that of isotropic straight lines, ∮ δ dθ / ∮ (|cos θ| + |sin θ|) dθ, times 1 + ROUGHNESS s²; 0 where all touches.
+    that of isotropic straight lines, ∮ δ dθ / ∮ (|cos θ| + |sin θ|) dθ, times 1 + ROUGHNESS s²; 0 under a
+    law by which everything touches.
 
     roughness: s, radians per pixel (`rough_surface`).
     """
@@ -204,9 +205,11 @@ def edge_tables(spacing: tuple[float, float], solid: Solid, thin: float = THIN) 
 
 
 def hardening(solid: Solid, step: float) -> float:
-    """d ln K/d ln q at the shortest wave of pixels of that side: 1 for a half-space, 0 for a Winkler foundation."""
+    """d ln K/d ln q at the shortest wave of pixels of that side: 1 for a half-space, 0 for a Winkler foundation.
+    Also 1 where the stiffness K vanishes with q.
+    """
     longest, below, above = per_pixel(solid, step)(np.array([LONG, math.pi / 1.01, math.pi * 1.01]))
-    return math.log(above / below) / (2 * math.log(1.01)) if longest > below / 100 else 1.0  # K → 0 with q
+    return math.log(above / below) / (2 * math.log(1.01)) if longest > below / 100 else 1.0
 
 
 def mean_stiffness(stiffness: Stiffness) -> float:

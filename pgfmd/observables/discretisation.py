@@ -177,19 +177,22 @@ def level_shift(
 
 
 def solver_errors(contact: Contact, shift: float) -> dict[str, float]:
-    """Estimated errors by the solver of the numbers of FACTORS; shift: error of the level, NaN if not known."""
+    """Estimated errors by the solver of the numbers of FACTORS.  Collective.
+
+    shift: error of the level, NaN if not known
+    """
     grid, energy, mean = contact.grid, contact.elastic_energy, contact.mean_pressure
-    bound, relative = 2 * energy * contact.certified_error, contact.likely_pressure_error
+    bound, eta = 2 * energy * contact.certified_error, contact.likely_pressure_error
     soft = contact.problem.law.range_at(mean) * mean if mean > 0 else 0.0
     work = SOLVER["energy"] * (2 * math.sqrt(bound) * math.sqrt(energy + soft / 2) + bound)
     if not math.isnan(shift):
         work = LEVEL * abs(shift) * mean
-    edges = math.sqrt(relative * contact.area.edges * grid.pixel_area) / math.prod(grid.lengths)
+    edges = math.sqrt(eta * contact.area.edges * grid.pixel_area) / math.prod(grid.lengths)
     return {
         "perimeter": SOLVER["perimeter"] * edges,
         "mean_gap": work / (mean or math.nan),
         "elastic_energy": work,
-        "mean_square_pressure": SOLVER["mean_square_pressure"] * 2 * relative * contact.mean_square_pressure,
+        "mean_square_pressure": SOLVER["mean_square_pressure"] * 2 * eta * contact.mean_square_pressure,
     }
 
 

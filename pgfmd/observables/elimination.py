@@ -18,7 +18,7 @@ FEW = 20  # when a pass eliminates less than one in so many points, those with o
 class Elimination(NamedTuple):
     """The faces of n points to those that are eliminated later."""
 
-    order: np.ndarray  # (n,) of the elimination
+    order: np.ndarray  # (n,) the points as they are eliminated; `first` and `total` are in this order
     first: np.ndarray  # (n + 1,) first face of each
     other: np.ndarray  # the other point of each face
     weight: np.ndarray  # its T
@@ -37,7 +37,9 @@ class _Lists(NamedTuple):
 
 @compiled()
 def _packed(lists: _Lists, more: int) -> tuple[_Lists, int]:
-    """The lists in a row, each with room for two more faces; and where they end, in the first half of longer arrays."""
+    """The lists in a row, each with room for two more faces, and where they end.  The arrays are twice as long, and
+    have room for `more` faces besides.
+    """
     begin, size, room, other, weight = lists
     at, left = 0, np.flatnonzero(size)
     whole = 2 * (size[left].sum() + 2 * len(left)) + more
@@ -80,7 +82,9 @@ def _longer(values: np.ndarray, count: int) -> np.ndarray:
 
 @compiled()
 def eliminated(graph: Graph, many: int) -> Elimination:
-    """The elimination of all points; an empty one if more than `many` have over `SPARSE` faces when others are gone."""
+    """The elimination of all points of a graph in compressed rows; an empty one if more than `many` points are left
+    when those with up to `SPARSE` faces are gone.
+    """
     n = len(graph.first) - 1
     lists, used = _lists(graph)
     begin, size, room, near, t = lists

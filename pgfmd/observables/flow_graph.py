@@ -190,7 +190,9 @@ def grouped(aggregate: np.ndarray, n: int, count: int) -> tuple[np.ndarray, np.n
 
 @compiled()
 def coarsened(graph: Graph, aggregate: np.ndarray, count: int) -> Graph:
-    """The graph of aggregates (of own points, then copies): T's add up; a face crosses a border if all its parts do."""
+    """The graph of `count` aggregates; aggregate: of own points, then of copies.  T's add up; a face crosses a border
+    if all those that it stands for do.
+    """
     first, other, weight, border = graph
     n = len(first) - 1 if len(first) else len(border)
     order, begin = grouped(aggregate, n, count)

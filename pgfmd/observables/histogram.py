@@ -88,11 +88,13 @@ def pressure_groups(grid: SlabGrid, pressure: np.ndarray, bins: int) -> dict[str
     total = grid.reduction.sum(pressure)
     mean = total / touching if touching else math.nan  # over the contact
 
+    orders = np.arange(1, ORDERS + 1)
+
     def part(first: int, stop: int) -> tuple[np.ndarray, ...]:
         rows = pressure[first:stop]
         inside = rows[rows > 0]
         counts = (np.histogram(inside, edges)[0] for edges in (linear, logarithmic))
-        return *counts, np.array([np.sum((inside / mean) ** order) for order in range(1, ORDERS + 1)])
+        return *counts, np.array([np.sum((inside / mean) ** order, dtype=np.float64) for order in orders])
 
     count, log_count, powers = _totals(grid, part)
     fit = {"persson_fit": persson_fit(linear, count, total / grid.size, grid.size)} if grid.comm.rank == 0 else {}
@@ -100,7 +102,7 @@ def pressure_groups(grid: SlabGrid, pressure: np.ndarray, bins: int) -> dict[str
         "pressure_histogram": _histogram(linear, count, touching),
         "pressure_histogram_log": _histogram(logarithmic, log_count, touching),
         "pressure_moments": {
-            "order": np.arange(1, ORDERS + 1),
+            "order": orders,
             "value": powers / touching if touching else np.full(ORDERS, np.nan),
         },
     }

@@ -110,7 +110,7 @@ BANDWIDTH = 2.0
 
 def lowpass_areas(contact: Contact, cutoffs: np.ndarray) -> np.ndarray:
     """Relative contact area, of the pixels and inside the line, without modes |q| > each cutoff: (cutoffs, 2), NaN
-    where the surface cannot be solved.  Contacts on the full grid start from the given one.  Collective.
+    where the contact cannot be solved.  Contacts on the full grid start from the given one.  Collective.
     """
     problem, solve, areas = contact.problem, contact.surface.solve, np.empty((len(cutoffs), 2))
     factors = np.array([coarsening(contact.surface.cell, q) for q in cutoffs])
@@ -124,7 +124,7 @@ def lowpass_areas(contact: Contact, cutoffs: np.ndarray) -> np.ndarray:
 
 
 def _on_coarser(problem: ContactProblem, cutoffs: np.ndarray, solve: Solve, factor: int) -> np.ndarray:
-    """Those of the grid that is coarsened by `factor`, a power of 2.  Collective."""
+    """The areas on the grid that is coarsened by `factor`, a power of 2.  Collective."""
     coarse = SubGrid.coarse(problem.grid, factor)
     heights = restrict(problem.grid, coarse, problem.heights)
     areas = coarse.on_all(lambda grid: _areas(problem.on(grid, heights), cutoffs, solve))

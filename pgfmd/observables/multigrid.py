@@ -146,8 +146,8 @@ class Level:
     def on_root(
         self, values: np.ndarray, work: Callable[[Level, np.ndarray], np.ndarray], counts: np.ndarray
     ) -> np.ndarray:
-        """This rank's part of what `work` makes on the level of rank 0 of the values on own points of all ranks.
-        counts: numbers of each rank in that.  Collective.
+        """Gathers values on own points of all ranks, lets `work` map them on the level of rank 0, and returns this
+        rank's part of the result.  counts: how many of its numbers each rank gets.  Collective.
         """
         assert self.halo is not None
         comm = self.halo.comm
@@ -250,7 +250,9 @@ class Level:
         return x
 
     def advance(self, x: np.ndarray, r: np.ndarray, z: np.ndarray, last: Step | None) -> Step | None:
-        """The step along z, which is made conjugate to the last one; None if r is but rounding.  Collective."""
+        """Moves x along z, made conjugate to the last step, and updates r.  Returns the step; None if r is but
+        rounding.  Collective.
+        """
         lean = len(self.graph.first) == 0
         if last is not None:
             both = self.form(z, last.direction) if lean else -self.dot(z, last.product)

@@ -80,7 +80,9 @@ class Labels:
         return out
 
     def to_keepers(self, values: np.ndarray) -> np.ndarray:
-        """Send `values` (foreign patches, …) to their keepers; returns those received for `returned`.  Collective."""
+        """Send `values`, a row per foreign patch, to their keepers; returns the rows for `returned`, in its order.
+        Collective.
+        """
         return _exchange(self.comm, values, self.send_counts, self.return_counts)
 
 

@@ -123,7 +123,9 @@ class Subsurface(Observable):
 
 
 def _summit(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Place and value of the largest y, of a parabola through three points; at an end the point itself."""
+    """Place and value of the largest y, of a parabola through three points; the point itself at an end, or where
+    x hardly differs.
+    """
     k = int(np.argmax(y))
     if not 0 < k < len(x) - 1 or not y[k] > 0 or not x[k - 1] < x[k] < x[k + 1]:
         return float(x[k]), float(y[k])

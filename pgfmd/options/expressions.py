@@ -31,7 +31,7 @@ def formula(variable: str) -> Rule:
 
 @cache
 def function(written: str, variable: str) -> Callable[[float], float]:
-    """A formula as a function of one real number, for Python and for numba; raises ValueError for what is none."""
+    """A formula as a function of one real number, for Python and numba; raises ValueError for what is no formula."""
     made = ast.parse(f"lambda {variable}: 0", mode="eval")
     made.body.body = tree(written, variable)  # type: ignore[attr-defined]
     try:

@@ -25,7 +25,7 @@ FAILED = 32000  # tag of messages between ranks that have failed, below the leas
 
 
 def slab(count: int, size: int, rank: int) -> slice:
-    """Rows of `rank` of `count` rows split over `size` ranks; the first ranks take the rest, as in mpi4py-fft."""
+    """The part of a rank of `count` rows over `size` ranks; the first have one more if need be, as in mpi4py-fft."""
     base, extra = divmod(count, size)
     start = rank * base + min(rank, extra)
     return slice(start, start + base + (rank < extra))
@@ -73,8 +73,11 @@ class Reduction:
         parts: first row of a block → its numbers, for each block of this rank, if any.  Blocks are added in the order
         of their rows, so that the sums do not depend on the order of the threads.
         """
-        blocks = np.array([parts[first] for first in sorted(parts)])
-        return self.sums(*blocks.reshape(-1, count).sum(axis=0))
+        blocks = np.array([parts[first] for first in sorted(parts)], dtype=np.float64)
+        out = blocks.reshape(-1, count).sum(axis=0)
+        if self.comm.size > 1:
+            self.comm.Allreduce(MPI.IN_PLACE, out, MPI.SUM)
+        return out
 
     def any(self, flag: bool) -> bool:
         """Whether the flag is set on at least one rank.  Collective."""

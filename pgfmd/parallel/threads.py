@@ -1,5 +1,4 @@
-"""The threads of one rank, which share blocks of rows between them.  All grids of a process share its helper threads.
-"""
+"""The threads of one rank, which share blocks of rows.  All grids of a process share its helpers (`ThreadPool`)."""
 
 from __future__ import annotations
 
@@ -105,7 +104,7 @@ class Threads:
         self.deal(lambda first, stop: np.multiply(field[first:stop], factor, out=field[first:stop]), len(field))
 
     def deal(self, work: Callable[[int, int], None], total: int, least: int = 256) -> None:
-        """`split` for rows that take unequal times: about four blocks per thread, of at least `least` rows."""
+        """Like `split`, where rows take unequal times: some four blocks per thread, each of at least `least` rows."""
         block = total if self.count == 1 else max(least, total // (4 * self.count))
         if total > 0:
             self.share(lambda _, first, stop: work(first, stop), total, block)
