@@ -10,7 +10,7 @@ from job_texts import rough_job
 from reference import Contact, Real
 
 import pgfmd
-from pgfmd.errors import InputError
+from pgfmd.errors import InputError, SolverError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.options import expressions as formula
 from pgfmd.physics.laws.derivative import compiled_pair
@@ -364,3 +364,15 @@ def test_newton_serves_open_boundaries():
     found = pgfmd.solve(heights, 0.02, wall=wall, boundary="open", tolerance=1e-12)
     assert found.certified_error < 1e-12
     np.testing.assert_allclose(found.pressure, built_in.pressure, atol=1e-5 * built_in.pressure.max())
+
+
+@pytest.mark.parametrize("pressure", [".1 / gap**9", "exp(-gap / .01)"])
+@pytest.mark.parametrize("load", [1e-100, 1e-30, 1e30])
+@pytest.mark.filterwarnings("error")
+def test_a_load_far_from_the_wall_s_is_one_line(pressure, load):
+    """Iterations that overflow or underflow make no warning, on one thread or two; one line says why it ends."""
+    wall = {"kind": "formula", "pressure": pressure, "gaps": [0.02, 40.0]}
+    heights = np.random.default_rng(0).standard_normal((16, 16))
+    for threads in (1, 2):
+        with pytest.raises(SolverError, match="^load.pressure = "):
+            pgfmd.solve(heights, load, contact_modulus=1.0, wall=wall, threads=threads)

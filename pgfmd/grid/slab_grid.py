@@ -210,7 +210,8 @@ class SlabGrid:
         filled: tuple[int, int] | None = None,
     ) -> None:
         """Transform the rows that `fill` writes, let `action` change their spectrum in place, transform back, and hand
-        the rows to `drain`.  No 1/N is applied.  filled: (first, stop) of the global rows that are not 0.  Collective.
+        the rows to `drain`.  No 1/N is applied.  filled: (first, stop) of the global rows that are not 0, if not all.
+        Collective.
         """
         transform, (first, stop) = self.transform(dtype), filled or (0, self.shape[0])
         transform.rows_forward(fill, (first - self.rows.start, stop - self.rows.start))
@@ -237,7 +238,8 @@ class SlabGrid:
         return found if high - low == len(rows) else found[rows - low]
 
     def around(self, margin: int, between: int = 0) -> RowPlan:
-        """The plan to fetch `margin` rows before and after this rank's, where the domain has any.  Collective at first.
+        """The plan to fetch `margin` rows before and after this rank's, where the domain has any.  Collective on
+        first use.
 
         between: number of rows that the target has between the two parts.
         """

@@ -1,4 +1,6 @@
-"""Coarser grids, on fewer ranks so that messages do not dominate; restriction and interpolation, local or by modes."""
+"""Coarser grids, on fewer ranks so that messages do not dominate; restriction and interpolation, local, or by the modes
+of a periodic cell.
+"""
 
 from __future__ import annotations
 
@@ -55,7 +57,8 @@ class SubGrid:
     def on_all(self, work: Callable[[SlabGrid], T], without_rows: Callable[[T], T] = lambda value: value) -> T:
         """`work(grid)` on ranks that hold the grid; others get `without_rows` of the value of rank 0.  Collective.
 
-        Errors that all ranks of `work` raise reach all ranks; a rank that fails alone raises at once: others may wait.
+        Errors that all ranks of `work` raise reach all ranks; a rank that fails alone raises at once, since the others
+        may wait for it in `work`.
         """
         if self.grid is not None and self.grid.comm.size == self.comm.size:
             return work(self.grid)
@@ -83,7 +86,9 @@ class SubGrid:
 
 
 def restrict(fine: SlabGrid, coarse: SubGrid, field: np.ndarray) -> np.ndarray:
-    """A field on a coarse grid, (nx_coarse_local, ny_coarse): its modes below that grid's Nyquist ones.  Collective."""
+    """A field of a periodic cell on a coarse grid, (nx_coarse_local, ny_coarse): its modes below the Nyquist modes
+    there.  Collective.
+    """
     nx, ny = coarse.shape
     kx_max, ky_count = (nx - 1) // 2, (ny - 1) // 2 + 1  # Nyquist modes are left out
     starts = np.minimum(slab_starts(fine.shape[1] // 2 + 1, fine.comm.size), ky_count)

@@ -8,9 +8,10 @@ A forward and backward transform takes three passes over memory:
     rows backward    a block of rows is taken out of the strips, transformed back along y, and given to a callback
 
 The strips (see `transpose`) are the only complex array of the grid's size on one node; ranks on several nodes hold one
-more, the rows packed to be sent.  The threads of a rank share the blocks between them.  Transforms are unnormalised in
-both directions.  Callbacks may run on several threads at once, each time with another block; they must not communicate.
-FFTW's wisdom is kept on disk, so that each plan is measured once.
+more, the rows packed to be sent.  A pair of library transforms passes over memory six times or more.  The threads of a
+rank share the blocks between them.  Transforms are unnormalised in both directions.  Callbacks may run on several
+threads at once, each time with another block; they must not communicate.  FFTW's wisdom is kept on disk, so that each
+plan is measured once.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ Goal = Callable[[AdhesiveState], float]
 
 
 class AdhesiveContact(AdhesiveModel):
-    """The minimisation of the energy of one surface; `see` is called after each step.  Collective to make."""
+    """The minimisation of the energy of one surface; `see` is called with each state.  Collective to make."""
 
     see: Callable[[AdhesiveState], None] | None = None
 

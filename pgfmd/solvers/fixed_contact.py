@@ -50,7 +50,9 @@ SINGLE_FROM = 1e-4  # width of the bounds from which transforms in single precis
 
 
 class Increment(NamedTuple):
-    """x (nx_local, ny), the change of pressure per that of its mean; bounds of K, pressure per length; transforms."""
+    """x (nx_local, ny), the change of the pressure per that of its mean, 0 outside a hard wall's contact; bounds of K,
+    pressure per length; transform pairs.
+    """
 
     pressure: np.ndarray
     lower: float

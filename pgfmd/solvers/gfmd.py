@@ -39,7 +39,9 @@ def solve_gfmd(
     overwrite_heights: bool = False,
     max_steps: int = 10000,
 ) -> ContactSolution:
-    """Contact under any convex law by dynamics, in at most `max_steps`: see `NestedIteration.contact`.  Collective."""
+    """Contact under any convex law by dynamics.  Raises SolverError after `max_steps`; all else as
+    `NestedIteration.contact`.  Collective.
+    """
     scaled = Dimensionless(problem, overwrite_heights)
     if scaled.uniform is not None:
         return scaled.uniform

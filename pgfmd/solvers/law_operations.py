@@ -79,9 +79,15 @@ class LawOperations:
         return self.grid.reduction.sums(*np.sum(parts, axis=0))
 
     def each(self, function: Callable[..., None], *fields: np.ndarray) -> None:
-        """Calls a function with the same rows of some fields, a band at a time, which stays in cache."""
-        rows, band = self.grid.local_shape[0], self.grid.band
-        self.grid.threads.share(lambda _, a, b: function(*(field[a:b] for field in fields)), rows, band)
+        """Calls a function with the same rows of some fields, a band at a time, which stays in cache; threads share the
+        bands.
+        """
+
+        def part(_: int, first: int, stop: int) -> None:
+            with np.errstate(over="ignore", invalid="ignore"):  # numbers of a diverging iteration
+                function(*(field[first:stop] for field in fields))
+
+        self.grid.threads.share(part, self.grid.local_shape[0], self.grid.band)
 
     def certify(self, state: LawState) -> None:
         """Level, contact and certified error of a state whose gap was computed last.  The error is infinite if a
@@ -122,7 +128,9 @@ class LawOperations:
         return state.error <= tolerance
 
     def respond(self, state: LawState, target: np.ndarray, compliance: float) -> None:
-        """The law's answer of mean 1: compliance · p̂ − gap(p̂) = target + c, begun at c of `state`.  Collective."""
+        """Sets p̂ to the law's answer of mean 1, compliance · p̂ − gap(p̂) = target + c, and the level, from which the
+        search begins, to c.  Collective.
+        """
         count, level, low, high = self.grid.size, state.level, -np.inf, np.inf
         enough = 1e-14 * count  # a factor on p̂ corrects the rest
         for _ in range(200):
@@ -157,4 +165,5 @@ class LawOperations:
                 np.multiply(pressure, factor, out=pressure, where=free)
                 np.minimum(pressure, highest, out=pressure)
                 return
-        pressure *= self.grid.size / total
+        with np.errstate(divide="ignore", invalid="ignore"):  # where all underflowed no pressure is certified
+            pressure *= self.grid.size / total

@@ -34,14 +34,15 @@ SolveAt = Callable[[ContactProblem, np.ndarray | None, float], ContactSolution]
 Percolates = Callable[[SlabGrid, np.ndarray], bool]
 """(grid, mask (nx_local, ny)) → whether a path in it winds around the cell.  Collective."""
 
-# Loads this close start from each other under hard and other walls; over larger steps coarse grids are cheaper.
+# Loads this close start from each other, under hard walls, and under others or on thin solids; over larger steps coarse
+# grids are cheaper.
 NEIGHBOURS, SOFT_NEIGHBOURS = math.log(1.002), math.log(1.05)
 LOOSE = 1e-5  # certified error of intermediate solutions
 SURE = 0.3  # part of the target's tolerance that may be due to the solution's certified error
 FARTHER = 4.0  # far from a target: its error over the part that the solution's certified error may make
 ROUNDING = 1e-15  # width of a bracket in ln p̄ below which it is rounding
 JUMP = 1e-4  # width of a bracket in ln p̄ below which an area that differs between its ends counts as jumping
-SHARP = {np.float64: 1e-12, np.float32: 1e-10}  # certified error of its ends
+SHARP = {np.float64: 1e-12, np.float32: 1e-10}  # certified error of both ends of such a bracket
 ABOUT, LEAST_SIDE = 1e-2, 64  # tolerance of a gap on the coarser grid that gives a first guess, and its least side
 STEP = 3.0  # largest first change of ln p̄
 MOST_SOLVES = 80
@@ -132,9 +133,9 @@ class LoadControl:
         """The contact at a target that the solver meets by itself; None if it does not.  Collective."""
         if (imposed := self.control.imposed(target)) is None:
             return None
-        start, longest = self._resumed, np.array(2 * math.pi / max(self.grid.lengths))
-        # That of full contact with waves as long as the cell, which have the rms height.
-        guess = self.control.rms_height * float(self.problem.solid.stiffness(longest))
+        start, lowest = self._resumed, np.array(2 * math.pi / max(self.grid.lengths))  # wave number
+        # To begin with, the mean pressure of full contact with waves as long as the cell, which have the rms height.
+        guess = self.control.rms_height * float(self.problem.solid.stiffness(lowest))
         if start is not None and 0 < (total := self.grid.reduction.sum(start)) < math.inf:
             guess = total / self.grid.size
         try:

@@ -150,7 +150,9 @@ class Measurement:
 
 
 def holes_in_words(holes: int, size: int, rule: str) -> str:
-    """What happens to `holes` missing of `size` points, or "".  Raises InputError if the rule `missing` forbids it."""
+    """What happens to `holes` missing of `size` points, or "".  Raises InputError if `rule`, the key `missing` of the
+    surface, does not allow so many.
+    """
     part = f"{holes} of {size} points ({holes / size:.2g} of all) were not measured"
     if holes == size:
         raise InputError("no point was measured")

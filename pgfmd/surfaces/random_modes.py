@@ -1,6 +1,7 @@
 """Heights whose Fourier modes are independent Gaussian numbers of given variance.
 
-The random number of mode (kx, ky) depends on (seed, kx, ky) alone: one seed is one surface on any ranks and grid.
+The random number of mode (kx, ky) depends on (seed, kx, ky) alone: one seed is one surface on any
+number of ranks and on any grid.
 """
 
 from __future__ import annotations
@@ -65,14 +66,14 @@ class RandomModes:
                 moment += float(np.dot(squares_x + square_y, column.real**2 + column.imag**2))
         return moment
 
-    def heights(self, missing: str, rms_slope: float | None = None) -> np.ndarray:
+    def heights(self, if_none: str, rms_slope: float | None = None) -> np.ndarray:
         """The heights (nx_local, ny) of the modes, scaled to the rms slope √⟨|∇h|²⟩ if it is given.  Collective.
 
-        Raises InputError on all ranks, with the text `missing`, if no mode of the grid has a variance.
+        Raises InputError on all ranks, with the text `if_none`, if no mode of the grid has a variance.
         """
         if not self.grid.domain.wraps:
             with self.grid.like(self.grid.comm, self.grid.shape, self.grid.lengths, PERIODIC).freed() as cell:
-                return replace(self, grid=cell).heights(missing, rms_slope)
+                return replace(self, grid=cell).heights(if_none, rms_slope)
         moments: list[tuple[int, float]] = []
         heights, scale = self.grid.new_field(), np.empty(())
 
@@ -82,7 +83,7 @@ class RandomModes:
         def set_scale() -> None:
             slope = math.sqrt(self.grid.reduction.sum([value for _, value in sorted(moments)]))
             if not slope > 0:
-                raise InputError(missing)
+                raise InputError(if_none)
             scale[...] = 1.0 if rms_slope is None else rms_slope * max(self.grid.lengths) / (2 * math.pi * slope)
 
         def keep(first: int, stop: int, rows: np.ndarray) -> None:

@@ -49,7 +49,8 @@ MISSING = (
 
 
 def read_text(path: str) -> Measurement | None:
-    """The heights of a text file; None if it is no table of numbers, or says sizes or units: see `_instrument`.
+    """The heights of a text file; None if it is no table of numbers, or if comments give sizes or units that only
+    SurfaceTopography understands (`_instrument`).
 
     A table of more than three columns is a matrix: number j of line i is heights[i, j], at x = i aₓ, y = j a_y, as
     `numpy.savetxt` writes it.  Three columns are x, y and height, in any order of lines; lattice points without a line

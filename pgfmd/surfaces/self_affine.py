@@ -142,9 +142,9 @@ def _heights(
     if wavelengths[0] <= max(grid.spacing) * (1 + SLACK):
         k_s = math.inf
 
-    missing = (
+    if_none = (
         f"surface: no mode of the {grid.shape[0]} x {grid.shape[1]} grid lies between lambda_l = "
         f"{wavelengths[1]:g} and lambda_s = {wavelengths[0]:g}; the longest wavelength is {side:g}"
     )
     variance = self_affine_variance(hurst, k_l, k_r, k_s)
-    return RandomModes(grid, seed, variance, k_s * (1 + SLACK)).heights(missing, rms_slope)
+    return RandomModes(grid, seed, variance, k_s * (1 + SLACK)).heights(if_none, rms_slope)

@@ -61,8 +61,8 @@ class FromSpectrum(Surface):
             inside = (place >= places[0] - SLACK) & (place <= places[-1] + SLACK)
             return np.exp(np.interp(place, places, logarithms)) * inside
 
-        missing = (
+        if_none = (
             f"{self.path}: no mode of the {grid.shape[0]} x {grid.shape[1]} grid lies between q = {q[0]:g} and "
             f"{q[-1]:g}; its lowest is {unit:g}"
         )
-        return RandomModes(grid, single(self.seed), variance, q[-1] / unit * (1 + SLACK)).heights(missing)
+        return RandomModes(grid, single(self.seed), variance, q[-1] / unit * (1 + SLACK)).heights(if_none)

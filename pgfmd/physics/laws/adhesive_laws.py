@@ -232,7 +232,9 @@ class Potential(AttractiveWall):
 
 @cache
 def _spline(written: str, gaps: tuple[float, float]) -> tuple[PPoly, float, float]:
-    """Cubic spline through the formula in units, and these, 0 without attraction.  Raises ValueError if not finite."""
+    """The cubic spline through the formula in units of the law, and these two units, 0 if it attracts nowhere.  Raises
+    ValueError where it is not finite.
+    """
     from scipy.interpolate import CubicSpline
 
     of, nodes = formula.function(written, "gap"), np.linspace(*gaps, NODES)

@@ -78,7 +78,7 @@ class ContactLaw(Section):
 
     @property
     def reach(self) -> float:
-        """Largest difference between gaps of points that bear pressure; 0 for a hard wall."""
+        """Largest difference between gaps of points that bear pressure: that of `ends`, 0 for a hard wall."""
         return self.ends[1] - self.ends[0]
 
     @property
@@ -147,5 +147,7 @@ class ContactLaw(Section):
         return 0.0 if self.releases else SHARE * mean_square / mean
 
     def finish(self, pressure: np.ndarray, gap: np.ndarray, level: float, units: Units) -> float:
-        """Converts rows of a dimensionless solution, in place; returns its largest violation over `units.height`."""
+        """Converts rows of a dimensionless solution to physical units, in place.  Returns the largest violation of the
+        law before that, in units of `units.height`.
+        """
         raise NotImplementedError

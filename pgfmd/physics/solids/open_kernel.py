@@ -183,7 +183,8 @@ def cropped_table(wide: SlabGrid, grid: SlabGrid, table: np.ndarray) -> np.ndarr
 
 def _cosines(grid: SlabGrid, rows: np.ndarray, count: int, odd: bool = False) -> np.ndarray:
     """Σ f(i, j) cos(π i k/I) cos(π j m/J) over −I < i ≤ I, −J < j ≤ J of an even f, (count split over the ranks, I + 1)
-    with m first, of which the first `count`; sines of an odd f; rows: (I + 1 on all ranks, J + 1), lost.  Collective.
+    with m first, of which the first `count`; sines of an odd f; rows: (I + 1 split over the ranks, J + 1), overwritten.
+    Collective.
     """
     rows = _along_rows(rows, grid.threads.count, odd)
     starts = slab_starts(count, grid.comm.size)

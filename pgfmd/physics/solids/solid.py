@@ -159,7 +159,9 @@ class Solid(Section):
         return 1 / self.half_space_stiffness(q)
 
     def open_table(self, grid: SlabGrid) -> np.ndarray:
-        """E' times the compliance of the modes kx ≥ 0 on an open patch, (nky_local, Nx // 2 + 1).  Collective."""
+        """E' times the compliance of the modes kx ≥ 0 on an open patch, (nky_local, Nx // 2 + 1).  Called often: make
+        it once for each grid (`open_kernel.kept_table`).  Collective.
+        """
         raise NotImplementedError
 
     def modes(self, grid: SlabGrid, first: int = 0, stop: int | None = None) -> np.ndarray:

@@ -254,7 +254,9 @@ class Relaxation:
         return state.aim.pressure if state.aim.moves(self.measured(state), error) else 0.0
 
     def imposed_level(self, state: State, least: float = -math.inf) -> tuple[float, Mean]:
-        """The level λ by which an imposed approach is sought, at least `least`, and how the system treats Σ x."""
+        """The level λ by which an imposed approach is sought, at least `least`, and how the system treats Σ x.  Makes
+        and moves the aim of a state that was `measure`d.  Raises SolverError if contact is lost.
+        """
         assert self.imposed is not None
         if not (state.load > 0 and state.energy > 0):
             raise SolverError("contact is lost; allow a larger tolerance")

@@ -91,7 +91,9 @@ def _higher(problem: ContactProblem, depth: float, least: tuple[int, int] = (1, 
 
 
 def _estimate(problem: ContactProblem) -> tuple[float, float]:
-    """Largest depth of contact below the highest point, inf if not worth knowing; and transforms spent.  Collective."""
+    """How deep below the highest point contact may reach, with a margin, inf if not worth knowing; and transforms
+    spent.  Collective.
+    """
     grid, imposed = problem.grid, problem.imposed
     top = grid.reduction.max(problem.heights)
     height = top - grid.reduction.min(problem.heights)

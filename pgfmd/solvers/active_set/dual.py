@@ -63,10 +63,10 @@ class GapSteps(Relaxation):
         residual, mean = points.below(-shift, state.pressure), FREE if self.imposed is None else NEUTRAL
         system = ConjugateGradients(residual, self.inner.apply, self.preconditioner.apply, mean)
         if self.imposed is not None:
-            change, rows = shift + system.constant, state.pressure
+            change, field = shift + system.constant, state.pressure
             self.problem = self.problem.at(self.problem.mean_pressure + change)
             self.grid.threads.deal(
-                lambda a, b: np.add(rows[a:b], change, out=rows[a:b], casting="same_kind"), len(rows)
+                lambda a, b: np.add(field[a:b], change, out=field[a:b], casting="same_kind"), len(field)
             )
         work, self.squares[0], count = self.settling.settle(state.pressure, state.gap, self.problem.load)
         state.energy, state.load = (work - self.mean * self.problem.load) / 2, self.problem.load

@@ -230,7 +230,9 @@ class Settling:
         np.multiply(pressure[first:stop], change, out=out, casting="same_kind")
 
     def energy(self) -> float:
-        """⟨c, Gc⟩ of the change c by the last settling, from sums over blocks of `SIDE` pixels.  Collective."""
+        """⟨c, Gc⟩ of the change c by the last settling, from sums over blocks of `SIDE` pixels.
+        These are long waves, which the residual does not show.  Collective.
+        """
         sums, exchange = np.empty(self.mesh.local_shape, np.float32), Exchange(self.grid.comm)
         exchange.relay(self._gather, self.changes.own, sums)
         exchange.carry_out()

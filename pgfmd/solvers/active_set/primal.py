@@ -76,7 +76,9 @@ class PressureSteps(Relaxation):
         return self._system(state, started and self.highest == math.inf)
 
     def compute_gap(self, state: State, precision: Precision) -> None:
-        """As `Relaxation.compute_gap`; the mesh makes room for its transforms, these for the system.  Collective."""
+        """As `Relaxation.compute_gap`; the mesh's transforms make room for the grid's, and these for the system.
+        Collective.
+        """
         with self._memory_for_transforms():
             super().compute_gap(state, precision)
 
@@ -156,7 +158,9 @@ class PressureSteps(Relaxation):
             wanted = min(MOST_LEFT, (system.square / square) ** CUT_POWER)
 
     def _respond(self, state: State, near: Unknowns, before: np.ndarray) -> None:
-        """Adds to the gap the mesh's response to the change of pressures, which were `before` (count,).  Collective."""
+        """Adds to the gap of the points `near` the mesh's response to the change of their pressures, which were
+        `before` (count,).  Collective.
+        """
         change, response = SetVector(near), np.empty(near.count, np.float32)
         change.own[...] = near.values(state.pressure) - before  # of pressures of double precision, if they have it
         self.inner.apply(change, response)

@@ -38,12 +38,12 @@ BACK = 0.25  # a step that raises both merits is shortened to this part
 MOST_INNER, MOST_OUTER = 1000, 200
 LEAST_CUT, MOST_CUT = 0.1, 0.03  # factor on the linear residual in a step; MOST_CUT after one that cut the error by 10
 STIFFEST = 1e4  # −P' over 1/α at most, of any law: where the wall is hard, −P' is infinite
-SHORTENED = 10  # times that a step is shortened at most, down to 1e-6 of it
+MOST_SHORTENED = 10  # times that a step is shortened at most, down to 1e-6 of it
 DESCENT_CUT = 1e-8  # factor on the linear residual in a step: with 1e-2 in single precision, a third never ended
 SETTLED = 1e-2  # promised gain per point over ζ at which the next shorter ζ takes over
 ENOUGH = 0.1  # a step of a descent is shortened if it gains less than this part of what the slope promises
 ROUNDED = 1e-13  # of the objective: smaller gains are rounding
-MOST_DESCENTS, HALVINGS = 100, 40  # steps for one ζ; times that a step is halved
+MOST_DESCENT_STEPS, HALVINGS = 100, 40  # steps for one ζ; times that a step is halved
 STIFF_LOAD = 1e12  # compliance per p̂ over the heights, whose cube single precision cannot hold (3e38)
 
 Merits = tuple[float, float]
@@ -94,7 +94,7 @@ class Newton(LawOperations):
         pressure, gap = state.pressure.copy(), state.gap.copy()
         self.respond(state, self.newton_target(state, wanted), self.alpha)
         self.compute_gap(state)
-        for _ in range(SHORTENED):
+        for _ in range(MOST_SHORTENED):
             merits = self.merits(state)
             if merits[0] <= before[0] or merits[1] <= before[1]:
                 break
@@ -103,7 +103,9 @@ class Newton(LawOperations):
         return merits
 
     def step_back(self, pressure: np.ndarray, gap: np.ndarray, state: LawState) -> None:
-        """Shortens a step to the part `BACK`: the objective is convex there, and the gap linear.  Collective."""
+        """Shortens a step to the part `BACK`: the objective is convex there, and the gap linear, so that no convolution
+        is needed.  Collective.
+        """
 
         def mix(old: np.ndarray, new: np.ndarray) -> None:
             new -= old
@@ -134,8 +136,9 @@ class Newton(LawOperations):
 
         def aim(_: int, first: int, stop: int) -> None:
             rows = slice(first, stop)
-            pressure = state.pressure[rows] + root[rows] * change[rows]
-            target[rows] = self.alpha * pressure - (state.gap[rows] + response[rows])
+            with np.errstate(over="ignore", invalid="ignore"):  # numbers of a diverging iteration
+                pressure = state.pressure[rows] + root[rows] * change[rows]
+                target[rows] = self.alpha * pressure - (state.gap[rows] + response[rows])
 
         self.grid.threads.share(aim, len(target), self.grid.band)
         return target
@@ -209,8 +212,9 @@ class LawNewton(Newton):
         mass = sums.sum(self.slope)
         away = state.gap - self.law_gap
         level = sums.dot(self.slope, away) / mass if mass > 0 else 0.0
-        np.sqrt(self.slope, out=root, casting="same_kind")
-        np.multiply(root, level - away, out=residual, casting="same_kind")
+        with np.errstate(over="ignore", invalid="ignore"):  # numbers of a diverging iteration
+            np.sqrt(self.slope, out=root, casting="same_kind")
+            np.multiply(root, level - away, out=residual, casting="same_kind")
         return sums.dot(residual, residual), max(mass, np.finfo(float).tiny)
 
     def advance(self, state: LawState, wanted: float, before: Merits) -> Merits:
@@ -234,7 +238,7 @@ class LawNewton(Newton):
             return float(self.grid.reduction.dot(scratch, change))
 
         first = slope(0.0)
-        for _ in range(SHORTENED):
+        for _ in range(MOST_SHORTENED):
             last = slope(1.0)
             if last <= abs(first) / 2 or first + 4 * slope(0.5) + last <= 0:  # Simpson's rule
                 break
@@ -268,9 +272,9 @@ class Descent(Newton):
 
     def relax(self, state: LawState, tolerance: float, monitor: Callable[[LawState], None] | None = None) -> LawState:
         """As `Newton.relax`, by steps of the source; the state becomes the wall's answer to it.  Collective."""
-        patience = Patience(MOST_DESCENTS // 2)
+        patience = Patience(MOST_DESCENT_STEPS // 2)
         self.answer(state)
-        for _ in range(MOST_DESCENTS):
+        for _ in range(MOST_DESCENT_STEPS):
             self.certify(state)
             if monitor is not None:
                 monitor(state)
@@ -326,7 +330,7 @@ def descend(
     for soft in softer:
         solver = Descent(soft, source)
         solver.answer(state)
-        for _ in range(MOST_DESCENTS):
+        for _ in range(MOST_DESCENT_STEPS):
             if solver.advance_source(state) <= SETTLED * solver.zeta * soft.grid.size:
                 break
     return Descent(problem, source).relax(state, tolerance, monitor)

@@ -85,7 +85,8 @@ class NewtonIteration(NestedIteration[LawState]):
 
         def part(thread: int, first: int, stop: int) -> None:
             displacement, pressure = (interpolation.rows(which, first, stop, thread) for which in (0, 1))
-            target[first:stop] = solver.alpha * pressure - (displacement - heights[first:stop])
+            with np.errstate(over="ignore", invalid="ignore"):  # of loads near the largest number
+                target[first:stop] = solver.alpha * pressure - (displacement - heights[first:stop])
 
         grid.threads.share(part, grid.local_shape[0], grid.band)
         state = LawState(grid.new_field(), grid.new_field(), level=found.level)
