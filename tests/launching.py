@@ -151,7 +151,7 @@ def wait(run: subprocess.Popen, timeout: float = 120) -> tuple[int, str]:
     return run.returncode, stderr
 
 
-def complete(ranks: int, *arguments, timeout: float = 900, **options) -> str:
+def run_to_end(ranks: int, *arguments, timeout: float = 900, **options) -> str:
     """Stderr of a run that ends well."""
     code, stderr = wait(start(ranks, *arguments, **options), timeout)
     assert code == 0, stderr

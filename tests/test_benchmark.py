@@ -228,7 +228,7 @@ def test_cores_are_compared_in_turns(tmp_path):
 
 @starts_mpirun
 @pytest.mark.breadth
-def test_the_script_writes_its_page(tmp_path):
+def test_acceptance_writes_its_page(tmp_path):
     """On one and two ranks all is right, and the page has a row for each, with its seconds and messages."""
     environment = os.environ | {"FOLDER": str(tmp_path), "N": "128", "PYTHON": sys.executable}
     command = ["bash", str(ROOT / "jobs" / "acceptance.sh"), "2"]
@@ -242,7 +242,7 @@ def test_the_script_writes_its_page(tmp_path):
 
 @pytest.mark.parametrize("name", acceptance.ALLOWED)
 @pytest.mark.parametrize("value", [1.0, math.nan])
-def test_what_is_wrong_is_said(tmp_path, capsys, name, value):
+def test_acceptance_says_what_is_wrong(tmp_path, capsys, name, value):
     """An error that is too large, or is no number, stands in the first line, and the exit code is 1."""
     line = {"ranks": 4, "errors": dict.fromkeys(acceptance.ALLOWED, 0.0) | {name: value}, "nodes": [4], "machine": {}}
     (tmp_path / "checks.jsonl").write_text(json.dumps(line) + "\n")
@@ -250,7 +250,7 @@ def test_what_is_wrong_is_said(tmp_path, capsys, name, value):
     assert f"**WRONG: 4 ranks: {name} " in (tmp_path / "acceptance.md").read_text()
 
 
-def test_ranks_that_failed_are_said(tmp_path):
+def test_acceptance_says_which_ranks_failed(tmp_path):
     """Runs that ended with an error, or not at all, stand in the first line, also where no other has ended."""
     assert acceptance.main(["report", str(tmp_path), "--failed", "8", "16"]) == 1
     text = (tmp_path / "acceptance.md").read_text()

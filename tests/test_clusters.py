@@ -34,14 +34,14 @@ def case(tmp_path_factory):
     folder = tmp_path_factory.mktemp("many")
     job = launching.write_job(folder / "job.toml", [75, 67], lambda_s=8, pressures=[1e-3, 1e-2], interval=1e9)
     (folder / "exchanged.py").write_text(EXCHANGED)
-    launching.complete(1, "run", job, "--output", folder / "one")
+    launching.run_to_end(1, "run", job, "--output", folder / "one")
     return folder
 
 
 @pytest.mark.parametrize("ranks", [*broad([5, 8], 0), pytest.param(16, marks=pytest.mark.long)])
 def test_many_ranks(case, tmp_path, ranks):
     """On 5 and 8 (with `--all`) and 16 ranks (with `--long`) of unequal slabs the pressure is that of one rank."""
-    launching.complete(ranks, "run", case / "job.toml", "--output", tmp_path / "out", timeout=300)
+    launching.run_to_end(ranks, "run", case / "job.toml", "--output", tmp_path / "out", timeout=300)
     assert launching.distance(tmp_path / "out", case / "one")[1] < SAME
 
 
@@ -50,7 +50,7 @@ def test_many_ranks(case, tmp_path, ranks):
 def test_over_tcp(case, tmp_path, ranks):
     """The same with every message over TCP and strips that cross in an all-to-all."""
     how = {"script": (case / "exchanged.py",), "environment": TCP}
-    launching.complete(ranks, "run", case / "job.toml", "--output", tmp_path / "out", timeout=300, **how)
+    launching.run_to_end(ranks, "run", case / "job.toml", "--output", tmp_path / "out", timeout=300, **how)
     assert launching.distance(tmp_path / "out", case / "one")[1] < SAME
 
 
@@ -83,7 +83,7 @@ def test_thin_slabs_take_no_more_work(tmp_path, n, ranks):
     """Down to one row per rank, the pressure is that of one rank to 1e-10; iterations and transforms are within 5 %."""
     (tmp_path / "solve.py").write_text(MANY)
     for count in (1, ranks):
-        launching.complete(count, n, tmp_path / f"{count}.npz", script=(tmp_path / "solve.py",))
+        launching.run_to_end(count, n, tmp_path / f"{count}.npz", script=(tmp_path / "solve.py",))
     one, many = (np.load(tmp_path / f"{count}.npz") for count in (1, ranks))
     assert np.linalg.norm(many["pressure"] - one["pressure"]) < SAME * np.linalg.norm(one["pressure"])
     assert np.allclose(many["work"], one["work"], rtol=0.05, atol=0)

@@ -172,7 +172,8 @@ def test_formulas_are_part_of_their_sentences(site):
 
 
 def test_the_site_says_what_counts_and_what_is_taken(site):
-    """It has stiffnesses as formulas, contact of soft walls, and each parameter of `solve` and field of a contact."""
+    """Stiffnesses stand as formulas, soft walls say what counts as contact, and the page of Python lists each parameter
+    of `solve` and each field of a contact."""
     theory = (site / "theory.html").read_text()
     assert "Exponential walls and" in theory.partition("What counts as contact</h2>")[2] and "E'_2 / E'_1" not in theory
     rows = set(re.findall(r"<tr>\s*<td[^>]*><code>(\w+)</code>", (site / "api.html").read_text()))

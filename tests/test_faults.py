@@ -193,7 +193,7 @@ def fill_disks(tmp_path, n: int, times: int, ranks: int):
             assert found < 1e-10
             saved = (disk / "out" / "fields" / "checkpoint.h5").exists()
             (disk / "filler").unlink()
-            stderr = launching.complete(1, "run", job, "--output", disk / "out", "--restart")
+            stderr = launching.run_to_end(1, "run", job, "--output", disk / "out", "--restart")
             assert not saved or f"load {there + 1} continues from its checkpoint" in stderr
             _, found = launching.distance(disk / "out", tmp_path / "reference")
             print(f"full {done:2}: {there} loads{' + checkpoint' * saved}; then {found:.0e}; {said[0]}", flush=True)
@@ -217,11 +217,11 @@ def test_full_disks(tmp_path):
 def test_without_shared_memory(tmp_path, cause):
     """Without shared windows, or space for them, ranks exchange messages, which one line says: the same pressures."""
     job = launching.write_job(tmp_path / "job.toml", 64, lambda_s=8, pressures=LOADS[:1])
-    launching.complete(1, "run", job, "--output", tmp_path / "one")
+    launching.run_to_end(1, "run", job, "--output", tmp_path / "one")
     with small_disk(tmp_path / "disk", 2**14) if cause == "small" else nullcontext() as disk:
         name = "OMPI_MCA_osc" + "_sm_backing_directory" * (cause == "small")
         environment = {name: "^sm" if disk is None else str(disk)}
-        stderr = launching.complete(3, "run", job, "--output", tmp_path / "out", timeout=120, environment=environment)
+        stderr = launching.run_to_end(3, "run", job, "--output", tmp_path / "out", timeout=120, environment=environment)
         assert stderr.count("all exchange messages") == 1, stderr
     assert launching.distance(tmp_path / "out", tmp_path / "one")[1] < 1e-10
 
@@ -233,7 +233,7 @@ def test_read_only(tmp_path, what):
     job = launching.write_job(tmp_path / "job.toml", 64, lambda_s=8, pressures=LOADS)
     with small_disk(tmp_path / "disk", 2**24) as disk:
         if what == "file":
-            launching.complete(1, "run", job, "--output", disk / "out", timeout=120)
+            launching.run_to_end(1, "run", job, "--output", disk / "out", timeout=120)
             before = {path: path.read_bytes() for path in disk.rglob("*.h5")}
         subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True)
         code, stderr = launching.wait(launching.start(2, "run", job, "--output", disk / "out", "--overwrite"), 120)

@@ -389,7 +389,8 @@ def test_a_mountain_in_one_slab(n):
 
 @pytest.mark.parametrize(("error", "goal"), [(np.inf, 6e-2), (0.8, 6e-2), (4e-3, 2e-4), (1e-14, 1e-8), (0.0, 1e-8)])
 def test_coarse_grids_aim_at_a_part_of_their_first_error(error, goal):
-    """A twentieth, three times that of a rough start, a tenth of it for gaps, within limits, also without error."""
+    """Grids aim at a twentieth of their first error, at three times that from a rough start, at a tenth of it with gaps
+    as unknowns, within limits; a start without error has an aim too."""
     assert PressureSteps.goal(error, 1e-12) == pytest.approx(goal)
     assert PressureSteps.goal(error, 1e-3) == pytest.approx(max(goal, 2.5e-4))
     assert GapSteps.goal(error, 1e-12) == pytest.approx(max(goal / 10, 1e-8))

@@ -23,7 +23,7 @@ def campaign(tmp_path, n: int, kills: int, interval: float):
     chance = launching.by_chance()
     job = launching.write_job(tmp_path / "job.toml", n, lambda_s=n / 64, interval=interval)
     began = time.monotonic()
-    launching.complete(2, "run", job, "--output", tmp_path / "reference")
+    launching.run_to_end(2, "run", job, "--output", tmp_path / "reference")
     length = time.monotonic() - began
     done = runs = 0
     while done < kills:
@@ -69,7 +69,7 @@ def changed(tmp_path, n: int, kills: int):
         jobs[name] = launching.write_file_job(tmp_path / f"{name}.toml", n, heights, pressure)
         np.save(heights, surface)
         began = time.monotonic()
-        launching.complete(2, "run", jobs[name], "--output", tmp_path / f"as {name}")
+        launching.run_to_end(2, "run", jobs[name], "--output", tmp_path / f"as {name}")
         lengths.append(time.monotonic() - began)
     other_version = tmp_path / "other.py"
     other_version.write_text(
@@ -102,7 +102,7 @@ def changed(tmp_path, n: int, kills: int):
         present = name if new else "old"
         np.save(heights, surfaces[present])
         script = script if new else ("-m", "pgfmd")
-        launching.complete(1, "run", jobs[present], "--output", folder, "--restart", script=script)
+        launching.run_to_end(1, "run", jobs[present], "--output", folder, "--restart", script=script)
         _, found = launching.distance(folder, tmp_path / f"as {present}")
         print(f"kill {number + 1:2} of {ranks} ranks, other {name}: {present}, {found:.0e}", flush=True)
         assert found < SAME
@@ -119,9 +119,9 @@ def test_a_killed_ensemble_goes_on_with_more_seeds(tmp_path):
     job = launching.write_job(tmp_path / "job.toml", 128, lambda_s=8, pressures=[0.001, 0.002])
     reference, folder, kept = tmp_path / "reference", tmp_path / "out", {}
     every = ("--set", "surface.seed=1..8")
-    launching.complete(2, "run", job, "--output", reference, *every)
+    launching.run_to_end(2, "run", job, "--output", reference, *every)
 
-    def complete() -> dict[str, list[float]]:
+    def completed() -> dict[str, list[float]]:
         """The seconds of the loads of each seed that is complete."""
         runs = [Results(path.parent) for path in folder.glob("seed_*/observables.h5")]
         return {run.directory.name: run.loads["seconds"].tolist() for run in runs if run.status == "complete"}
@@ -129,20 +129,20 @@ def test_a_killed_ensemble_goes_on_with_more_seeds(tmp_path):
     for least in (1, 3):
         ranks = chance.choice([1, 2, 3])
         run = launching.start(ranks, "run", job, "--output", folder, "--restart", "--set", "surface.seed=1..6")
-        while len(complete()) < least and run.poll() is None:
+        while len(completed()) < least and run.poll() is None:
             time.sleep(0.05)
         time.sleep(chance.uniform(0, 0.5))
         launching.kill(run, chance.choice(["one", "all"]), chance.choice)
         code, stderr = launching.wait(run)
-        now = complete()
+        now = completed()
         print(f"killed with {len(now)} seeds complete, exit code {code}")
         assert len(now) >= least and kept.items() <= now.items(), stderr
         assert Ensemble(folder).status in ("interrupted", "complete")  # the kill may come when all is written
         kept = now
     ranks = chance.choice([1, 2, 3])
-    launching.complete(ranks, "run", job, "--output", folder, "--restart", *every)
+    launching.run_to_end(ranks, "run", job, "--output", folder, "--restart", *every)
     found, expected = Ensemble(folder), Ensemble(reference)
-    assert found.status == "complete" and found.seeds == list(range(1, 9)) and kept.items() <= complete().items()
+    assert found.status == "complete" and found.seeds == list(range(1, 9)) and kept.items() <= completed().items()
     for mine, other in zip(found.runs, expected.runs, strict=True):
         assert launching.distance(mine.directory, other.directory)[1] < SAME
     for name in ("contact_area", "mean_gap"):

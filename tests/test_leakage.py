@@ -54,7 +54,7 @@ def test_masks_against_a_flood_fill(comm, connectivity):
         assert found == flood(mask, connectivity)
 
 
-def test_spiral(comm):
+def test_percolation_of_a_spiral(comm):
     """A line of slope 1/3 closes after three turns: it winds along both axes; one step short of that, along none."""
     line = np.zeros((12, 12), bool)
     for i in range(36):
@@ -80,7 +80,7 @@ def test_constriction_against_brute_force(comm, monkeypatch, gathered):
         assert all(gap[each.point] == each.value for each in found if each.value)
 
 
-def test_stripes(comm):
+def test_percolation_of_stripes(comm):
     """A wave pressed flat along y: the gap's channels run along y and not along x; across waves it is the reverse."""
     grid = SlabGrid(comm, (32, 16))
     wave = np.cos(2 * np.pi * np.arange(32) / 32)[:, None] * np.ones(16)
@@ -137,7 +137,7 @@ def test_flat_heights_do_not_close_a_gap(comm):
         pgfmd.solve(np.zeros((16, 16))[SlabGrid(comm, (16, 16)).rows], percolation="gap", comm=comm)
 
 
-def test_a_run_writes_both_loads(comm, tmp_path):
+def test_a_run_writes_both_closing_loads(comm, tmp_path):
     """In the table, with the constrictions if these are asked for; a restart finds it complete."""
     if comm.size > 1:
         pytest.skip("once is enough")

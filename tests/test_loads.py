@@ -115,7 +115,7 @@ def test_a_load_starts_from_its_neighbour_where_that_pays(comm, step, starts):
 
 
 def test_threads_make_no_collective_call(comm, monkeypatch):
-    """Threads sum heights in bands: ranks must not meet in there, as threads of others come in other orders."""
+    """Threads sum heights in bands; no collective call is made there, as threads of other ranks have other orders."""
     grid = SlabGrid(comm, (32, 8))
     heights = 3.0 + self_affine(grid, 0.8, 8.0, 0.1, 1)
     control = CONTROLS["contact_area"](under_hard_wall(grid, heights, solid=SOLID), Load(contact_area=(0.1,)))

@@ -457,7 +457,8 @@ def test_no_patch_has_a_negative_area(comm):
 
 @pytest.mark.parametrize("failure", [SolverError, InputError])
 def test_a_contact_that_cannot_be_had_is_not_given(comm, caplog, failure):
-    """What an uncertified further contact would give is NaN, the log says why, all else is there, with area bars."""
+    """If a further contact cannot be certified, its number is NaN and the log says why; all others are there, and the
+    error bars of the area, which need none."""
     grid = SlabGrid(comm, (64, 64))
     heights = self_affine(grid, 0.5, 16, 0.05, 5)
     problem = under_hard_wall(grid, heights, 0.003, elastic(MODULUS))

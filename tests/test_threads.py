@@ -66,7 +66,7 @@ def test_no_more_than_there_are_blocks():
 @pytest.mark.parametrize("pause", [0, 0.05])
 @pytest.mark.parametrize("late", [0, 0.05])
 def test_every_thread_that_is_there_works_once_on_each_task(pause, late):
-    """Whether helpers or the caller are asleep; and the caller waits for all that are at work."""
+    """Also where helpers are asleep when it comes, or the caller when they are done; it waits for all at work."""
     begun, done = [], []
 
     def work(thread: int):
