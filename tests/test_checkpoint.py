@@ -126,8 +126,9 @@ def written(comm, folder):
 ])  # fmt: skip
 @pytest.mark.parametrize("how", ["flipped", *(pytest.param(how, marks=pytest.mark.mpi("breadth"))
                                              for how in ("cut short", "missing"))])  # fmt: skip
-def test_damaged_results_are_made_again(comm, shared_tmp_path, name, pending, height, how):
-    """A byte beside the numbers is damaged, or a file cut short or gone: only what it held is made again."""
+def test_damaged_results_are_made_again(comm, shared_tmp_path, caplog, name, pending, height, how):
+    """A byte beside the numbers is damaged, or a file cut short or gone: only what it held is made again, and a line
+    says so; not of heights that are not there, as a run need not keep them, nor of the file of links."""
     restart = written(comm, shared_tmp_path / "out")
     path = shared_tmp_path / "out" / name
     if how == "flipped":
@@ -139,6 +140,8 @@ def test_damaged_results_are_made_again(comm, shared_tmp_path, name, pending, he
     comm.Barrier()
     with restart() as writer:
         assert writer.pending == pending and writer.earlier.has_height == height
+        said = name.startswith("fields/") and (height or how != "missing") and comm.rank == 0
+        assert sum("it will be made again" in line for line in caplog.messages) == said
         rows = writer.form.rows
         writer.begin()
         if not height:
