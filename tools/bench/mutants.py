@@ -124,7 +124,8 @@ def main() -> int:
         lines = set(data.lines(str(path)) or ())
         nodes = sites(ast.parse(path.read_text()))
         drawn += [(path, number) for number, node in enumerate(nodes) if node.lineno in lines]
-    killed, ignored = 0, []
+    killed, ignored, cache = 0, [], tempfile.TemporaryDirectory()
+    os.environ["PGFMD_CACHE"] = cache.name  # one for all: the name of a compiled loop's file is its content
     for path, number in chance.sample(drawn, options.count):
         tree = ast.parse(path.read_text())
         node = sites(tree)[number]
@@ -132,7 +133,6 @@ def main() -> int:
         files = tests_of(data, path, node.lineno)
         source = mutated(path.read_text(), node)
         with tempfile.TemporaryDirectory() as folder:
-            os.environ["PGFMD_CACHE"] = str(Path(folder) / "cache")
             copy = Path(folder) / "checkout"
             shutil.copytree(options.root, copy, ignore=shutil.ignore_patterns(".git", ".venv", "results", ".coverage*"))
             where = path.relative_to(options.root)
