@@ -71,30 +71,30 @@ Group = dict[str, np.ndarray]
 
 
 def pressure_groups(grid: SlabGrid, pressure: np.ndarray, bins: int) -> dict[str, Group]:
-    """Histograms (linear and logarithmic) over contact, moments and Persson's fit of a pressure slab.  Collective.
+    """Histograms (linear and logarithmic) over contact, moments and Persson's fit of a pressure slab ≥ 0.  Collective.
 
     Densities are normalised to 1 over the contact, p > 0.  Without contact, counts are zero and the rest is NaN.  The
     fit is made on rank 0 only.
     """
 
-    def survey(first: int, stop: int) -> tuple[int, float]:
-        inside = pressure[first:stop] > 0
-        return int(np.count_nonzero(inside)), float(pressure[first:stop].min(where=inside, initial=np.inf))
+    def survey(first: int, stop: int) -> tuple[float, ...]:
+        inside = _not_0(pressure, first, stop)
+        return len(inside), float(inside.sum(dtype=np.float64)), inside.min(initial=np.inf), inside.max(initial=0.0)
 
-    counts, least = zip(*grid.threads.collect(survey, len(pressure)), strict=True)
-    touching, largest = int(grid.reduction.sum(counts)), max(grid.reduction.max(pressure), 0.0)
+    counts, sums, least, most = zip(*grid.threads.collect(survey, len(pressure)), strict=True)
+    touching, total = grid.reduction.sums(sum(counts), math.fsum(sums)).tolist()
+    largest, mean = grid.reduction.max(most), total / touching if touching else math.nan  # over the contact
     linear = linear_edges(0.0, largest, bins)
     logarithmic = log_edges(grid.reduction.min(least), largest, max(1, bins // LINEAR_PER_LOG))
-    total = grid.reduction.sum(pressure)
-    mean = total / touching if touching else math.nan  # over the contact
-
-    orders = np.arange(1, ORDERS + 1)
 
     def part(first: int, stop: int) -> tuple[np.ndarray, ...]:
-        rows = pressure[first:stop]
-        inside = rows[rows > 0]
-        counts = (np.histogram(inside, edges)[0] for edges in (linear, logarithmic))
-        return *counts, np.array([np.sum((inside / mean) ** order, dtype=np.float64) for order in orders])
+        inside = _not_0(pressure, first, stop)
+        power, sums = np.ones(len(inside)), np.empty(ORDERS)
+        for order in range(ORDERS):
+            power *= inside / mean
+            sums[order] = power.sum()
+        inside.sort()
+        return _counts(inside, linear), _counts(inside, logarithmic), sums
 
     count, log_count, powers = _totals(grid, part)
     fit = {"persson_fit": persson_fit(linear, count, total / grid.size, grid.size)} if grid.comm.rank == 0 else {}
@@ -102,7 +102,7 @@ def pressure_groups(grid: SlabGrid, pressure: np.ndarray, bins: int) -> dict[str
         "pressure_histogram": _histogram(linear, count, touching),
         "pressure_histogram_log": _histogram(logarithmic, log_count, touching),
         "pressure_moments": {
-            "order": orders,
+            "order": np.arange(1, ORDERS + 1),
             "value": powers / touching if touching else np.full(ORDERS, np.nan),
         },
     }
@@ -110,14 +110,23 @@ def pressure_groups(grid: SlabGrid, pressure: np.ndarray, bins: int) -> dict[str
 
 def gap_groups(grid: SlabGrid, gap: np.ndarray, bins: int) -> dict[str, Group]:
     """Histogram of the gaps of a slab but those of exactly 0; the density is over all points.  Collective."""
-    edges = linear_edges(min(grid.reduction.min(gap), 0.0), max(grid.reduction.max(gap), 0.0), bins)
-
-    def part(first: int, stop: int) -> tuple[np.ndarray]:
-        rows = gap[first:stop]
-        return (np.histogram(rows[rows != 0], edges)[0],)
-
-    (count,) = _totals(grid, part)
+    ends = grid.threads.collect(lambda first, stop: (gap[first:stop].min(), gap[first:stop].max()), len(gap))
+    edges = linear_edges(min(grid.reduction.min(ends), 0.0), max(grid.reduction.max(ends), 0.0), bins)
+    (count,) = _totals(grid, lambda first, stop: (_counts(np.sort(_not_0(gap, first, stop)), edges),))
     return {"gap_histogram": _histogram(edges, count, grid.size)}
+
+
+def _not_0(field: np.ndarray, first: int, stop: int) -> np.ndarray:
+    """The values of some rows that are not 0, copied."""
+    rows = field[first:stop]
+    return rows[rows != 0]
+
+
+def _counts(values: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """How many of rising values lie in each bin, of which the last contains its end."""
+    below = np.searchsorted(values, edges)
+    below[-1] = np.searchsorted(values, edges[-1], side="right")
+    return np.diff(below)
 
 
 def persson_fit(edges: np.ndarray, count: np.ndarray, mean: float, points: int) -> Group:
@@ -153,7 +162,7 @@ def _totals(grid: SlabGrid, part: Callable[[int, int], tuple[np.ndarray, ...]]) 
     return totals
 
 
-def _histogram(edges: np.ndarray, count: np.ndarray, points: int) -> Group:
+def _histogram(edges: np.ndarray, count: np.ndarray, points: float) -> Group:
     """Edges and middles of bins, counts, and counts per bin width and point."""
     density = count / (max(points, 1) * np.diff(edges))
     return {"edges": edges, "center": (edges[1:] + edges[:-1]) / 2, "density": density, "count": count}
