@@ -41,20 +41,6 @@ class Graph(NamedTuple):
         return len(self.first) - 1 if len(self.first) else int(self.other[0])
 
 
-class Flux(NamedTuple):
-    """A flux on the faces of a graph.  Where `potential` is empty, `values` has one for each face.  Otherwise `values`
-    belong to the graph of aggregates, and are shared between faces in proportion to T; within an aggregate the flux is
-    T times the difference of the potentials.  That takes one number for each point instead of one for each face.
-    aggregate: of points (n,), then of copies; potential: (n,).
-    """
-
-    graph: Graph
-    values: np.ndarray
-    aggregate: np.ndarray
-    potential: np.ndarray
-    aggregates: Graph
-
-
 @compiled(inline="always")
 def face_to(graph: Graph, a: int, b: int) -> int:
     """The face of point a, in compressed rows, to point b."""
@@ -62,19 +48,6 @@ def face_to(graph: Graph, a: int, b: int) -> int:
     while graph.other[c] != b:
         c += 1
     return c
-
-
-@compiled(inline="always")
-def through(flux: Flux, i: int, k: int) -> float:
-    """The flux through face k of point i."""
-    if len(flux.potential) == 0:
-        return flux.values[k]
-    j, t = flux.graph.other[k], flux.graph.weight[k]
-    a, b = flux.aggregate[i], flux.aggregate[j]
-    if a == b:
-        return t * (flux.potential[i] - flux.potential[j])
-    c = face_to(flux.aggregates, a, b)
-    return flux.values[c] * (t / flux.aggregates.weight[c])
 
 
 @compiled(inline="always")
@@ -276,14 +249,12 @@ def place(order: np.ndarray, before: int, i: int) -> int:
 
 
 @compiled()
-def shared_flux(
-    graph: Graph, above: Flux, aggregate: np.ndarray, r: np.ndarray, flux: np.ndarray, potential: np.ndarray
-) -> None:
-    """A flux with Σ_j f_ij = r_i on a graph in compressed rows: `above`, that of the graph of aggregates, in proportion
-    to T between these, and the least that balances the rest within each.  flux: filled unless empty; else potential is,
-    as in `Flux`.
+def shared_flux(graph: Graph, coarse: Graph, above: np.ndarray, aggregate: np.ndarray, r: np.ndarray) -> np.ndarray:
+    """A flux with Σ_j f_ij = r_i on the faces of a graph in compressed rows: `above`, that of the graph `coarse` of
+    aggregates, in proportion to T between these, and the least that balances the rest within each.
     """
-    coarse, (first, other, weight, _) = above.graph, graph
+    first, other, weight, _ = graph
+    flux = np.zeros(len(weight))
     order, begin = grouped(aggregate, len(r), len(coarse.first) - 1)
     largest = np.diff(begin).max() if len(begin) > 1 else 0
     table, target = np.empty((largest, largest)), np.empty(largest)
@@ -300,28 +271,27 @@ def shared_flux(
                 if b == a or t == 0:
                     continue
                 c = face_to(coarse, a, b)
-                f = through(above, a, c) * (t / coarse.weight[c])
-                target[m] -= f
-                if len(flux):
-                    flux[k] = f
+                flux[k] = above[c] * (t / coarse.weight[c])
+                target[m] -= flux[k]
         eliminate(table, n)
         back_substitute(table, n, target)
         for m in range(n):
             i = order[before + m]
-            if len(potential):
-                potential[i] = target[m]
-            for k in range(first[i], first[i + 1] if len(flux) else first[i]):
+            for k in range(first[i], first[i + 1]):
                 if aggregate[other[k]] == a:
                     flux[k] = weight[k] * (target[m] - target[place(order, before, other[k])])
+    return flux
 
 
 @compiled()
-def shared_flux_in_slab(graph: Graph, above: Flux, aggregate: np.ndarray, r: np.ndarray, flux: np.ndarray) -> float:
+def shared_flux_in_slab(
+    graph: Graph, coarse: Graph, above: np.ndarray, aggregate: np.ndarray, r: np.ndarray, flux: np.ndarray
+) -> float:
     """The same on a graph of a slab; returns Σ f²/T over the faces of all points, each counted for both.  flux: filled
     unless empty, with the faces down and right of each point in turn.  Without the function `face`, which serves both
     kinds of graphs, this takes a quarter of the time.
     """
-    coarse, (_, other, weight, border) = above.graph, graph
+    _, other, weight, border = graph
     points, ny = int(other[0]), int(other[1])
     order, begin = grouped(aggregate, len(r), len(coarse.first) - 1)
     largest, total = np.diff(begin).max() if len(begin) > 1 else 0, 0.0
@@ -331,7 +301,7 @@ def shared_flux_in_slab(graph: Graph, above: Flux, aggregate: np.ndarray, r: np.
     for a in range(len(begin) - 1):
         n, before = begin[a + 1] - begin[a], begin[a]
         for c in range(coarse.first[a], coarse.first[a + 1]):
-            shares[coarse.other[c]] = through(above, a, c) / coarse.weight[c]
+            shares[coarse.other[c]] = above[c] / coarse.weight[c]
         table[:n, :n] = 0.0
         for m in range(n):
             i = order[before + m]

@@ -18,7 +18,7 @@ from numpy.typing import DTypeLike
 
 from pgfmd.observables import flow_graph, flow_loops
 from pgfmd.observables.elimination import Elimination, eliminated, solve_eliminated
-from pgfmd.observables.flow_graph import Flux, Graph, match
+from pgfmd.observables.flow_graph import Graph, match
 from pgfmd.parallel.mpi import MPI
 
 IN_SLABS = 3  # levels
@@ -279,26 +279,20 @@ class Level:
             self.halo.fill(b)
         return self.sum(flow_loops.form_in_slab(self.graph, kind, a, b))
 
-    def fluxes(self, r: np.ndarray, keep: bool = True) -> tuple[Flux, float]:
+    def fluxes(self, r: np.ndarray, keep: bool = True) -> tuple[np.ndarray, float]:
         """A flux f_ij on the faces with Σ_j f_ij = r_i.  On the finest level also Σ f²/T over the faces of this rank's
         points, each counted for both; elsewhere that has no meaning.  keep: else the flux of a slab of the grid is not
         stored.  Collective.
         """
-        graph, values, potential, aggregates, total = self.graph, NOTHING, NOTHING, self.graph, 0.0
+        graph = self.graph
         if self.elimination is not None:
             x = self.cycle(r)
-            values = graph.weight * (np.repeat(x, np.diff(graph.first)) - x[graph.other])
-        elif self.coarse is None and self.halo is not None:
-            values = self.on_root(r, lambda root, whole: root.fluxes(whole)[0].values, self.faces)
-        elif self.coarse is not None:
-            above, _ = self.coarse.fluxes(self.restricted(r))
-            if self.halo is not None and self.depth == 1:
-                values, potential, aggregates = above.values, np.zeros(graph.points), above.graph
-            elif len(graph.first) or keep:
-                values = np.zeros(len(graph.weight) if len(graph.first) else 2 * graph.points)
-            stored, r = NOTHING if len(potential) else values, r[: graph.points]
-            if len(graph.first):
-                flow_graph.shared_flux(graph, above, self.aggregate, r, stored, potential)
-            else:
-                total = flow_graph.shared_flux_in_slab(graph, above, self.aggregate, r, stored)
-        return Flux(graph, values, self.aggregate, potential, aggregates), total
+            return graph.weight * (np.repeat(x, np.diff(graph.first)) - x[graph.other]), 0.0
+        if self.coarse is None:
+            return self.on_root(r, lambda root, whole: root.fluxes(whole)[0], self.faces), 0.0
+        above, _ = self.coarse.fluxes(self.restricted(r))
+        r = r[: graph.points]
+        if len(graph.first):
+            return flow_graph.shared_flux(graph, self.coarse.graph, above, self.aggregate, r), 0.0
+        flux = np.zeros(2 * graph.points if keep else 0)
+        return flux, flow_graph.shared_flux_in_slab(graph, self.coarse.graph, above, self.aggregate, r, flux)

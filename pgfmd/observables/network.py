@@ -81,7 +81,7 @@ def flow_of(grid: SlabGrid, graph: Graph, axis: int, width: float, with_flux: bo
             square = grid.reduction.sum(square) / 2
             if square <= width * upper or stuck:
                 del r  # as memory peaks with the flux
-                fluxes = forward_faces(graph, kind, u, flux.values) if with_flux else None
+                fluxes = forward_faces(graph, kind, u, flux) if with_flux else None
                 return Flow(max(upper - square, 0.0), upper, fluxes, iteration)
             z = level.cycle(r)
             ready = 0.7 * width * estimate / square
