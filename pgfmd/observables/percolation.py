@@ -21,10 +21,10 @@ from pgfmd.observables.observable import Observable
 from pgfmd.observables.patch_table import Labels, label_patches
 from pgfmd.observables.run_length import PeriodicSets, paint
 from pgfmd.observables.schema import TABLE, Dataset, Groups
+from pgfmd.parallel.collectives import from_root
 
 GATHERED = 100_000  # points of the bracket that rank 0 receives
 SAMPLES = 50_000  # of values, of which thresholds are chosen
-CLOSED = -1  # neighbour of a point of the bracket that lies below it
 SHIFTS = 1 << 15  # cells of a shift along y, in a number that holds both
 
 
@@ -61,7 +61,7 @@ class Percolation(Observable):
     def cost(self, cell: Cell, cutoff: float | None) -> Cost:
         """Some labellings, fields of labels and shifts, and what is gathered, as measured at 512² … 2048²."""
         gathered = min(1.0, 1e5 / math.prod(cell.n))
-        return Cost(transforms=17.0 + 100 * gathered, memory=70.0 + 400 * gathered)
+        return Cost(transforms=17.0 + 100 * gathered, memory=62.0 + 400 * gathered)
 
     def measure(self, contact: Contact) -> Groups:
         """Labels the contact and the gap.  Collective."""
@@ -148,51 +148,47 @@ def bottlenecks(grid: SlabGrid, gap: np.ndarray, mask: np.ndarray) -> tuple[Bott
             break
         threshold = float(within[len(within) // 2])
     return tuple(  # type: ignore[return-value]
-        _closing(grid, value, labels[high[axis]], bracket(axis), axis)._replace(labellings=count)
+        Bottleneck(*_closing(grid, value, labels[high[axis]], bracket(axis), axis), count)
         if low[axis]
         else Bottleneck(0.0, (-1, -1), count)
         for axis in range(2)
     )
 
 
-def _closing(grid: SlabGrid, value: np.ndarray, labels: Labels, bracket: np.ndarray, axis: int) -> Bottleneck:
-    """The point of the bracket whose union with those above it (`labels`) first winds along the axis.  Collective."""
-    (nx, ny), comm = grid.shape, grid.comm
-    label = labels.label_field().astype(np.int64)
-    shift = np.empty(label.shape, np.int64)
-    code = labels.shift[:, 0].astype(np.int64) * SHIFTS + labels.shift[:, 1] if len(labels.shift) else np.empty(0, int)
+def _closing(
+    grid: SlabGrid, value: np.ndarray, labels: Labels, bracket: np.ndarray, axis: int
+) -> tuple[float, tuple[int, int]]:
+    """Value, row and column of the point of the bracket whose union with those above it (`labels`) first winds along
+    the axis.  Collective.
+    """
+    nx, ny = grid.shape
+    numbers = np.arange(grid.rows.start * ny, grid.rows.stop * ny).reshape(value.shape)
+    node = np.where(bracket, -2 - numbers, labels.label_field())  # ≤ −2: a point, > 0: a cluster, 0: below the bracket
+    shift, code = np.empty(value.shape, np.int64), labels.shift.astype(np.int64) @ [SHIFTS, 1]
     paint(labels.runs, labels.first, code, labels.fragment, shift)
-    numbers = np.arange(grid.rows.start * ny, grid.rows.stop * ny).reshape(label.shape)
-    node = np.where(bracket, -2 - numbers, np.where(label > 0, label, CLOSED))  # ≤ −2: a point, > 0: a cluster
     around = grid.neighbours([node, shift])
     node, shift = (np.concatenate([rows[:1], own, rows[1:]]) for own, rows in zip((node, shift), around, strict=True))
     i, j = np.nonzero(bracket)
-    edges = [np.empty((0, 4), np.int64)]
+    points, edges = -2 - numbers[i, j], [np.empty((0, 4), np.int64)]
     for di, dj in ((-1, 0), (1, 0), (0, -1), (0, 1)):
         row, column = i + di, j + dj
-        across, aside = (row + grid.rows.start) // nx, column // ny  # cells by which the neighbour lies beyond
-        other, moved = node[row + 1, column % ny], shift[row + 1, column % ny]
+        other, moved = node[row + 1, column % ny], shift[row + 1, column % ny]  # 0 of points
         y = (moved + SHIFTS // 2) % SHIFTS - SHIFTS // 2
-        inside = other > 0
-        across, aside = across - np.where(inside, (moved - y) // SHIFTS, 0), aside - np.where(inside, y, 0)
-        edge = np.stack([-2 - numbers[i, j], other, across, aside], axis=1)
-        edges.append(edge[(inside | (di + dj > 0)) & (other != CLOSED)])  # two points of the bracket: once
-    gathered = comm.gather((-2 - numbers[i, j], value[i, j], np.concatenate(edges)))
-    found = None
-    if gathered is not None:
-        points, values, joined = (np.concatenate(each) for each in zip(*gathered, strict=True))
-        found = _first_winding(points, values, joined, axis)
-    value_and_number = comm.bcast(found)
-    assert value_and_number is not None
-    return Bottleneck(value_and_number[0], divmod(value_and_number[1], ny), 0)
+        across = (row + grid.rows.start) // nx - (moved - y) // SHIFTS  # cells by which the neighbour's cluster lies
+        edge = np.stack([points, other, across, column // ny - y], axis=1)  # beyond
+        edges.append(edge[(other > 0) | (other < 0) & (di + dj > 0)])  # two points of the bracket: once
+    found = grid.comm.gather((points, value[i, j], np.concatenate(edges)))
+    least, number = from_root(grid.comm, _first_winding, found, axis)
+    return least, divmod(number, ny)
 
 
-def _first_winding(points: np.ndarray, values: np.ndarray, edges: np.ndarray, axis: int) -> tuple[float, int]:
+def _first_winding(parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]], axis: int) -> tuple[float, int]:
     """Value and number of the point whose edges first close a path that winds along the axis.
 
-    points: nodes of the bracket, of these values; edges: (a node of the bracket, another node, cells along x and along
-    y by which this is moved to touch the first).
+    parts, of each rank: nodes of the bracket, their values, and edges: (a node of the bracket, another node, cells
+    along x and along y by which this is moved to touch the first)
     """
+    points, values, edges = (np.concatenate(each) for each in zip(*parts, strict=True))
     nodes, places = np.unique(edges[:, :2], return_inverse=True)
     a, b = places.reshape(-1, 2).T.copy()
     own = np.full(len(nodes), math.inf)  # of clusters, which are above the bracket
