@@ -3,7 +3,6 @@
 import csv
 import os
 import re
-import runpy
 import signal
 import subprocess
 import sys
@@ -37,7 +36,7 @@ from pgfmd.application import job as config
 from pgfmd.application.results import Results
 from pgfmd.errors import InputError
 
-PLOTS, PAPER = ROOT / "tools" / "plots", ROOT / "tools" / "paper"
+PAPER = ROOT / "tools" / "paper"
 ALL = ("histogram", "spectra", "acf", "patches", "bearing", "lowpass")
 FOLLOWING = {"percolation": ("gap",), "leakage": ("flux_x", "flux_y"), "partial_slip": ("traction", "pressure"),
              "subsurface": ("von_mises",)}  # fmt: skip
@@ -498,24 +497,6 @@ def test_every_figure_explains_itself(figure, capsys):
     assert drawn.CAPTION and set(drawn.NEEDS) <= set(choosing.NEEDS)
     assert figures.main([]) == 0
     assert figure in capsys.readouterr().out
-
-
-@pytest.mark.breadth
-def test_a_figure_can_be_drawn_by_its_file(runs, tmp_path):
-    """`python tools/plots/NAME.py DIR` works as `pgfmd plot NAME DIR` does."""
-    command = [sys.executable, str(PLOTS / "area_load.py"), str(runs["kept"]), "--output", str(tmp_path)]
-    subprocess.run(command, check=True, capture_output=True, timeout=300)
-    assert (tmp_path / "area_load.pdf").stat().st_size > 0
-
-
-@pytest.mark.parametrize("figure", figures.FIGURES)
-def test_a_figure_is_a_command_of_its_file(figure, monkeypatch, capsys):
-    """`python tools/plots/NAME.py` is `pgfmd plot NAME`."""
-    monkeypatch.setattr(sys, "argv", [figure, "--help"])
-    with pytest.raises(SystemExit) as end:
-        runpy.run_path(str(PLOTS / f"{figure}.py"), run_name="__main__")
-    assert end.value.code == 0
-    assert f"pgfmd plot {figure}" in capsys.readouterr().out
 
 
 def test_an_exact_field_theory_reads_one(runs):

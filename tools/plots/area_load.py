@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import figures
 import numpy as np
 from choosing import NEEDS as TESTS
 from plotting import BLACK, GREY, Sheet, limited, standard_error, style
@@ -169,7 +168,3 @@ def _draw_theory(sheet: Sheet, loads: list[Load], groups: Sequence[Ensemble]):
     sheet.notes += [f"no curve of Bush, Gibson and Thomas: {reason}" for reason in sorted(reasons)]
     if not reasons:
         sheet.panels[1].plot([], [], color=GREY, ls="-.", lw=0.8, label="BGT")
-
-
-if __name__ == "__main__":
-    figures.command(__file__)

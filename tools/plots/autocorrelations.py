@@ -8,7 +8,6 @@ ratio is m₂ = ⟨σ²⟩_c/σ_c² at Δr = 0.
 
 from __future__ import annotations
 
-import figures
 import numpy as np
 from choosing import near
 from plotting import BLACK, BLUE, GREY, RED, Sheet, standard_error
@@ -87,7 +86,3 @@ def report(sheet: Sheet, group: list[Load], x: np.ndarray, ratio: np.ndarray, m2
 def _last_above(x: np.ndarray, row: np.ndarray, level: float) -> float:
     above = np.flatnonzero(row > level * (1 + 1e-9))
     return float(x[above[-1]]) if len(above) else 0.0
-
-
-if __name__ == "__main__":
-    figures.command(__file__)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import figures
 import numpy as np
 from choosing import near
 from estimators import fit_power_law, windows, within
@@ -99,7 +98,3 @@ def normalised(group: Ensemble, kind: str) -> tuple[np.ndarray, np.ndarray]:
     q, spectra = common_bins([load.spectrum(kind)[:2] for load in group])
     f = np.array([load.area for load in group])[:, None]
     return q / group.q_unit, spectra / (f * (1 - f))
-
-
-if __name__ == "__main__":
-    figures.command(__file__)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-import figures
 import numpy as np
 from choosing import near
 from estimators import broken_power_law, fit_power_law, goodness, tail_exponent
@@ -248,7 +247,3 @@ def _draw_law(sheet: Sheet, size: np.ndarray, least: float, most: float, name: s
     place = (-30, -11) if name == "elastic contact" else (6, 5)
     sheet.panels[1].annotate(rf"$\tau$ = {tau:.2f}", (ends[20], shape[20] / norm * len(inside) / len(size)), place,
                              "data", "offset points", fontsize=7, color="0.2")  # fmt: skip
-
-
-if __name__ == "__main__":
-    figures.command(__file__)

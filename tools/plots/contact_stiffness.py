@@ -12,7 +12,6 @@ import math
 from collections.abc import Iterable, Iterator
 from itertools import pairwise
 
-import figures
 import numpy as np
 from area_load import reduced
 from plotting import Sheet, limited, standard_error, style
@@ -94,7 +93,3 @@ def rms_height(load: Load) -> float:
         return math.nan
     _, power, count = load.spectrum("height")
     return float(np.sqrt(np.sum(power * count)))
-
-
-if __name__ == "__main__":
-    figures.command(__file__)

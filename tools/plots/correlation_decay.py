@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import figures
 import numpy as np
 from choosing import near
 from estimators import fit_power_law, windows, within
@@ -113,7 +112,3 @@ def report(sheet: Sheet, group: Ensemble, r: np.ndarray, decay: np.ndarray, limi
     for load, row in zip(group, decay, strict=True):
         sheet.keep("data", ("setting", "seed", "r_over_lambda_s", "decay"),
                    *((group.name, load.seed, *values) for values in zip(x, row, strict=True)))  # fmt: skip
-
-
-if __name__ == "__main__":
-    figures.command(__file__)

@@ -16,7 +16,6 @@ from functools import cache
 
 import contact_patches
 import field_theory
-import figures
 import numpy as np
 import persson_spectrum
 from estimators import band_ratio, broken_power_law, crossing, fit_power_law, tail_exponent
@@ -290,7 +289,3 @@ def _fit(sheet: Sheet, name: str, seeds: list[list[tuple[float, float]]], limits
     along = np.geomspace(x[0], x[-1], 40)
     panel, colour = look
     sheet.curve(panel, along, np.exp(offset) * along**slope, name, label=False, color=colour, ls="--", lw=0.9)
-
-
-if __name__ == "__main__":
-    figures.command(__file__)

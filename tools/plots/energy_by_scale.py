@@ -9,7 +9,6 @@ share of the energy their bins hold.
 
 from __future__ import annotations
 
-import figures
 import numpy as np
 from choosing import near
 from plotting import BLACK, Sheet, limited, standard_error, style
@@ -74,7 +73,3 @@ def report(sheet: Sheet, group: Ensemble, name: str, shares: np.ndarray, theory:
     sheet.findings.add(f"Persson's energy / that of the run, {name}", theory.sum(axis=1))
     if any("pressure" not in load.fields for load in group):
         sheet.notes.append(f"{name}: from spectra, whose bins hold {100 * total.mean():.1f} % of the energy")
-
-
-if __name__ == "__main__":
-    figures.command(__file__)

@@ -13,7 +13,6 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 
-import figures
 import numpy as np
 from choosing import near
 from estimators import fit_power_law, windows, within
@@ -250,7 +249,3 @@ def _draw_exponents(sheet: Sheet, points: list[tuple[Ensemble, str]], largest: i
             look = style(number, filled=max(chosen[0][0].results.shape) == largest)
             sheet.curve(2, x, [found.value for _, found in chosen], title,
                         error=[found.error or 0.0 for _, found in chosen], ls="none", **look)  # fmt: skip
-
-
-if __name__ == "__main__":
-    figures.command(__file__)

@@ -8,7 +8,6 @@ that differ by the seed alone are averaged; bands in q/q_l carry the standard er
 
 from __future__ import annotations
 
-import figures
 import numpy as np
 from estimators import band_ratio
 from persson_spectrum import theory as persson_area
@@ -88,7 +87,3 @@ def _draw_persson(sheet: Sheet, group: Ensemble):
     sheet.curve(
         0, q[inside] / group.q_unit, persson_area(load, q[inside]), "$f(q)$, Persson", color=BLACK, ls=":", lw=0.9
     )
-
-
-if __name__ == "__main__":
-    figures.command(__file__)

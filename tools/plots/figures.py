@@ -1,4 +1,4 @@
-"""The table of figures and the command that draws one: `pgfmd plot`, or `python tools/plots/NAME.py DIR…`.
+"""The table of figures and the command that draws one: `pgfmd plot`.
 
 A figure is a file tools/plots/NAME.py with
     a docstring        what it shows; its first line stands in the list
@@ -102,11 +102,6 @@ def main(arguments: Sequence[str]) -> int:
         print(f"pgfmd: error: {printable(' '.join(str(error).split()), 1000)}", file=sys.stderr)
         return 2
     return 0
-
-
-def command(file: str):
-    """Draws the figure of a file that Python runs, `python tools/plots/NAME.py DIR…`, and exits."""
-    sys.exit(main([Path(file).stem, *sys.argv[1:]]))
 
 
 class _Parser(argparse.ArgumentParser):

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 
-import figures
 import numpy as np
 from plotting import BLACK, GREY, Sheet, style
 from reading import Load
@@ -85,7 +84,3 @@ def draw_theory(sheet: Sheet, load: Load, shown: np.ndarray, unit: float) -> Non
         sheet.curve(0, x[inside], curve.force[inside] / unit / cell**2, name, color=colour, ls=line, lw=0.8)
         sheet.curve(1, x[inside], math.pi * a[inside] ** 2 / cell**2, name, label=False, color=colour, ls=line, lw=0.8)
     sheet.findings.add(f"pull-off force of the exact table, μ_T = {mu:.3g}", [adhesion.pull_off(mu)])
-
-
-if __name__ == "__main__":
-    figures.command(__file__)

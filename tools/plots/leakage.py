@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import figures
 import numpy as np
 from contact_stiffness import column, means
 from maps import show_field, thinned
@@ -87,7 +86,3 @@ def constriction(load: Load, axis: str = "x") -> tuple[float, float] | None:
     row, column = (float(load.groups["percolation"][f"constriction_{axis}_{place}"]) for place in ("row", "column"))
     ax, ay = load.spacings
     return ((row + 0.5) * ax, (column + 0.5) * ay) if row >= 0 else None
-
-
-if __name__ == "__main__":
-    figures.command(__file__)

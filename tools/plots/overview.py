@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 
-import figures
 import matplotlib
 import numpy as np
 from choosing import NEEDS as TESTS
@@ -176,7 +175,3 @@ def draw_spectra(sheet: Sheet, panel: int, load: Load):
     partial = 0 < load.area < 1
     quantity = r"$f_c\,\tilde C(q)\,/\,[(1-f_c)\,\tilde C(0)]$" if partial else r"$|\tilde\sigma|^2/\bar p^2$"
     sheet.label(panel, r"$q\,/\,q_l$", quantity, scale="log")
-
-
-if __name__ == "__main__":
-    figures.command(__file__)

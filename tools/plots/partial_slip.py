@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import figures
 import numpy as np
 from contact_stiffness import column, means
 from maps import show_field, thinned
@@ -38,7 +37,3 @@ def draw(loads: list[Load]) -> Sheet:
     else:
         sheet.drop(1, 'give output.fields "traction" and "pressure"')
     return sheet
-
-
-if __name__ == "__main__":
-    figures.command(__file__)

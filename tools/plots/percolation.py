@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import figures
 import numpy as np
 from leakage import constriction
 from maps import show_field, thinned
@@ -56,7 +55,3 @@ def draw_path(sheet: Sheet, panel: int, load: Load) -> None:
     for axis, marker in (("x", "o"), ("y", "s")):
         if place := constriction(load, axis):
             sheet.panels[panel].plot(*place, marker, mec=RED, mfc="none", ms=9, mew=1.2)
-
-
-if __name__ == "__main__":
-    figures.command(__file__)

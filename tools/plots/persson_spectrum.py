@@ -8,7 +8,6 @@ solved on the surface low-passed at q, at the same load.  One panel for each set
 
 from __future__ import annotations
 
-import figures
 import matplotlib
 import numpy as np
 from choosing import near
@@ -170,7 +169,3 @@ def report(sheet: Sheet, group: Ensemble, name: str, data: tuple):
 def _slopes(x: np.ndarray, curves: np.ndarray, part: np.ndarray) -> list[float]:
     """The exponent of each curve (samples, m) over a part of x."""
     return [fit_power_law(x[part], np.maximum(row[part], 1e-300))[0] for row in curves]
-
-
-if __name__ == "__main__":
-    figures.command(__file__)

@@ -8,7 +8,6 @@ form with the width that fits best.  Runs that differ by the seed alone are aver
 
 from __future__ import annotations
 
-import figures
 import numpy as np
 from choosing import near
 from plotting import BLACK, BLUE, GREY, MOST, Sheet, limited, standard_error, tex
@@ -130,7 +129,3 @@ def _fitted(load: Load) -> float:
     if "persson_fit" in load.kept:
         return float(np.ravel(load.groups["persson_fit"]["width"])[0])
     return persson.fit_std(*distribution(load), load.mean_pressure)
-
-
-if __name__ == "__main__":
-    figures.command(__file__)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 
-import figures
 import numpy as np
 from plotting import BLUE, GREEN, GREY, ORANGE, RED, Sheet, guide
 from reading import Load
@@ -89,7 +88,3 @@ def _resolution(load: Load) -> float:
 def _square(load: Load) -> float:
     """⟨p²⟩/p̄² over the whole surface = m₂/f_c; NaN where the moments were not kept."""
     return load.normalised_second_moment / load.area if load.area else math.nan
-
-
-if __name__ == "__main__":
-    figures.command(__file__)

@@ -8,7 +8,6 @@ alone are averaged: ratio of the means.
 
 from __future__ import annotations
 
-import figures
 import numpy as np
 from choosing import near
 from plotting import BLACK, GREY, Sheet, limited, style
@@ -96,7 +95,3 @@ def report(sheet: Sheet, group: Ensemble, name: str, data: tuple):
     for load, above, below in zip(group, stress, contact, strict=True):
         sheet.keep("data", ("setting", "seed", "q_over_q_l", "modes", "stress", "contact"),
                    *((name, load.seed, *row) for row in zip(x, count, above, below, strict=True)))  # fmt: skip
-
-
-if __name__ == "__main__":
-    figures.command(__file__)

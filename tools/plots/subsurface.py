@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import figures
 from maps import show_field, thinned, unit_text
 from plotting import COLOURS, Sheet, limited
 from reading import Load
@@ -39,7 +38,3 @@ def draw(loads: list[Load]) -> Sheet:
     else:
         sheet.drop(1, 'no field "von_mises" was kept')
     return sheet
-
-
-if __name__ == "__main__":
-    figures.command(__file__)
