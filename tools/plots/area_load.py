@@ -1,7 +1,5 @@
 """Contact area against load, raw and corrected for the pixels, with the theories of Persson and Bush–Gibson–Thomas.
 
-    pgfmd plot area_load DIR… [--area 0.02 0.08]
-
 Loads of runs that differ by the seed alone are averaged; `--area` is where κ = f_c E' g/p̄ is reported, by
 interpolation in the logarithm of the area.
 """

@@ -1,7 +1,5 @@
 """Real-space autocorrelations of stress and contact, and the paper's bounds on their ratio.
 
-    pgfmd plot autocorrelations DIR… [--area 0.14]
-
 From the observable acf, or from the field pressure in row blocks.  The paper's bounds are C_c ≤ C_σ/σ_c² ≤ 2 C_c; the
 ratio is m₂ = ⟨σ²⟩_c/σ_c² at Δr = 0.
 """

@@ -1,7 +1,5 @@
 """Contact spectra of the elastic solid and of the bearing area: the highest points, as many as touch.
 
-    pgfmd plot bearing_area DIR… [--areas 0.09] [--window FROM TO]
-
 Exponents μ of |Θ̃|² ∝ q^−μ are fitted to each run, over the range of the figure `exponents`; the error over seeds, and
 over the choice of the fit range.  Theory of the bearing area: μ = 2 + H.
 """

@@ -1,7 +1,5 @@
 """Contact patches: load against area with binned medians, and the distribution of their areas.
 
-    pgfmd plot contact_patches DIR… [--areas 0.08] [--smallest 16]
-
 Patches of all loads and seeds of a setting are taken together.  Those of fewer than `--smallest` pixels are drawn, and
 left out of the fits.  Size laws are fitted by maximum likelihood, with a test of goodness.
 """

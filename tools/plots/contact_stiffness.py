@@ -1,7 +1,5 @@
 """Stiffness of the interface against load, at fixed contact and between neighbouring loads.
 
-    pgfmd plot contact_stiffness DIR…
-
 K = −dp̄/dū (ū: mean gap).  The observable "stiffness" gives it at fixed contact, with its error.  Between two loads of a
 run the change of p̄ over that of ḡ lies between the K of both, as the contact grows with the load.
 """

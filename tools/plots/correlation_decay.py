@@ -1,7 +1,5 @@
 """Decay of the contact's correlation with distance: C_c(Δr) − C_c(∞) ∝ Δr^−ν, with ν = 2 − μ_c expected.
 
-    pgfmd plot correlation_decay DIR… [--areas 0.08] [--window 4 64]
-
 C_c(∞) is f_c².  `--window` is the fit range in units of the shortest wavelength; its neighbours give the spread over
 choices.
 """

@@ -1,7 +1,5 @@
 """One number of each load against another: a column of the table of loads, a moment, an exponent, a crossover.
 
-    pgfmd plot dependence DIR… [--of q_star] [--on contact_area] [--fit FROM TO] [--level 2] [--marks 0.42]
-
 Runs that differ by the seed alone are averaged.  A curve holds the loads that differ by nothing but the seed and what
 is on the horizontal axis.  `--fit` fits a power law to the absolute means in a range of that axis, and draws these;
 `--level` says where each curve reaches a value; `--marks` draws values of the horizontal axis.

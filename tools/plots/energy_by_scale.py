@@ -1,7 +1,5 @@
 """Elastic energy by scale: the share of waves up to q, with Persson's theory.
 
-    pgfmd plot energy_by_scale DIR… [--areas 0.08]
-
 A mode of the stress holds ½ |σ̃|²/stiffness(q) per area.  Modes are summed one by one from the field pressure, or else
 bin by bin from the spectra, with the mean q of each bin.  Spectra end at the surface's shortest wave; a note says what
 share of the energy their bins hold.

@@ -1,7 +1,5 @@
 """The exponent μ of stress and contact spectra, C̃ ∝ q^−μ, with errors of seeds and of fit ranges.
 
-    pgfmd plot exponents DIR… [--areas 0.04 0.08] [--window FROM TO]
-
 The joint fit has one μ for stress and contact at every load, and free prefactors.  The fit range in q/q_l is by default
 from 8 to q_s/(16 q_l), or q_s/(2 q_l) where that leaves less than a factor of 4; its neighbours (moved by 2 either way,
 halved at each end) give the spread over choices.

@@ -1,7 +1,5 @@
 """Exponential walls against field theory: |σ̃|² = G₁² (E'q/2)² |h̃|², G₁ = 1/(1 + ζ q E'/(2 p̄)).
 
-    pgfmd plot field_theory DIR…
-
 Theory is summed mode by mode from the heights, so that the ratio is 1 in every band where theory holds exactly.  Runs
 that differ by the seed alone are averaged; bands in q/q_l carry the standard error over the seeds.
 """

@@ -1,7 +1,5 @@
 """Force against approach of adhesive contacts, loading and unloading, beside JKR, DMT and Maugis.
 
-    pgfmd plot force_approach DIR…
-
 For a paraboloid the theories are drawn, shifted by what the images in a periodic cell move it.
 """
 

@@ -1,7 +1,4 @@
-"""Leakage: flow factors against load, and the flow through the gap of the last load.
-
-    pgfmd plot leakage DIR…
-"""
+"""Leakage: flow factors against load, and the flow through the gap of the last load."""
 
 from __future__ import annotations
 

@@ -1,7 +1,5 @@
 """What a run looks like: a page with fields to zoom into, and a picture of the last load.
 
-    pgfmd plot overview DIR
-
 Writes overview.html, which shows all loads of the first folder, and draws the last one; what was not kept is left out.
 """
 

@@ -1,7 +1,4 @@
-"""Partial slip: how much of the contact sticks at each load, and the traction of the last load.
-
-    pgfmd plot partial_slip DIR…
-"""
+"""Partial slip: how much of the contact sticks at each load, and the traction of the last load."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Percolation: the critical constriction of the gap against the contact area, and where it is in the last load.
-
-    pgfmd plot percolation DIR…
-"""
+"""Percolation: the critical constriction of the gap against the contact area, and where it is in the last load."""
 
 from __future__ import annotations
 

@@ -1,7 +1,5 @@
 """The stress spectrum over that of full contact, with the contact area f(q) at magnification q.
 
-    pgfmd plot persson_spectrum DIR… [--areas 0.02 0.5 …]
-
 Persson's theory says that the ratio is f(q) = erf(√2 p̄/(E' g(q))).  Where the run kept lowpass, f(q) is drawn as
 solved on the surface low-passed at q, at the same load.  One panel for each setting, with all its loads.
 """

@@ -1,7 +1,5 @@
 """The distribution of contact pressures, with Persson's theory.
 
-    pgfmd plot pressure_distribution DIR… [--areas 0.08]
-
 Theory is drawn at the load of the run with the surface's own slope: no free parameter.  The dashed curve is the same
 form with the width that fits best.  Runs that differ by the seed alone are averaged.
 """

@@ -1,7 +1,5 @@
 """Convergence with resolution: one problem at one load, on finer and finer grids.
 
-    pgfmd plot resolution DIR…
-
 The finest grid's corrected area, mean gap and ⟨p²⟩ serve as the limit for the others; it is not drawn itself.
 """
 

@@ -1,7 +1,5 @@
 """The stress spectrum against the contact spectrum: are they the same function?
 
-    pgfmd plot stress_contact_spectra DIR… [--areas 0.04 0.08]
-
 From the observable spectra, or from the field pressure.  Each point is one bin in |q|; runs that differ by the seed
 alone are averaged: ratio of the means.
 """

@@ -1,7 +1,4 @@
-"""Subsurface stress: von Mises' stress as a function of depth, and where it is largest.
-
-    pgfmd plot subsurface DIR…
-"""
+"""Subsurface stress: von Mises' stress as a function of depth, and where it is largest."""
 
 from __future__ import annotations
 
