@@ -5,8 +5,6 @@ it failed on one, it fails on all, with that rank's traceback, and the suite goe
 waits --patience seconds for the others; if they hang in a communication that it left, it says so and ends the run.
 """
 
-from __future__ import annotations
-
 import hashlib
 import logging
 import os

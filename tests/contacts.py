@@ -1,7 +1,5 @@
 """Solids, problems and solutions of the tests, in short."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Jobs of tests as TOML: what they share in one place, so that a test says only what matters to it."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from pgfmd.application.job import tables_as_toml

@@ -1,7 +1,5 @@
 """Runs of the program started by tests, watched, and killed; results compared with those of an undisturbed run."""
 
-from __future__ import annotations
-
 import os
 import random
 import signal

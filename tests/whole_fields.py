@@ -1,7 +1,5 @@
 """Spectra and autocorrelations of whole fields by plain NumPy, for comparison; as in `pgfmd.observables.binning`."""
 
-from __future__ import annotations
-
 import numpy as np
 import rowblocks
 

@@ -7,8 +7,6 @@ points 0.1 µm × 0.12 µm apart, 36 nm rms about a plane that is tilted by 3 an
 out of a larger surface it does not close upon itself.
 """
 
-from __future__ import annotations
-
 import argparse
 import struct
 from pathlib import Path

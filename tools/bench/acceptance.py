@@ -6,8 +6,6 @@ python tools/bench/acceptance.py report FOLDER [--failed P …]  # with measured
 `check` adds one line to FOLDER/checks.jsonl.  `jobs/acceptance.sh` does all of it.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

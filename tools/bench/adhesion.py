@@ -22,8 +22,6 @@ spacing, from the two finest grids; area_error is the whole change that this mak
 folder is of, stay in it.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import io

@@ -16,8 +16,6 @@ not installed (`tools/setup.sh bench`) are left out and named.  Processor time i
 core, `report --clock cpu` says more.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import importlib.util

@@ -10,8 +10,6 @@ fit, a traceback, a warning, a hang.  Jobs run in a process of their own, which 
 The parts are in campaigns/.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import faulthandler

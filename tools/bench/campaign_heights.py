@@ -4,8 +4,6 @@
     python tools/bench/campaign_heights.py --seed 1 --only 17 --keep DIR     # that file alone, kept in DIR
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import tempfile

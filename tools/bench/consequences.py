@@ -7,8 +7,6 @@ Parts: stiffness, enclosed, percolation, closing, exponent, leakage, exact; all 
 needs reynoldsflow.  One line per number: part, case, name, value.  Run on one thread; times are CPU time.
 """
 
-from __future__ import annotations
-
 import argparse
 import csv
 import math

@@ -4,8 +4,6 @@
     python tools/bench/contact_line.py limit  # `observables.contact_area.LARGEST_RATIO`, on exact waves (minutes)
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import math

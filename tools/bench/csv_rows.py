@@ -1,7 +1,5 @@
 """Tables of measurements: rows as dicts, in CSV files."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path

@@ -19,8 +19,6 @@ places count like one grid of spacing a/k; the weights follow.  An exact fit to 
 random error of 64a.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys

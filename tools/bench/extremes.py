@@ -4,8 +4,6 @@ Every case is solved on one rank and judged from outside: finite fields, pressur
 on the energy error computed anew with NumPy's transforms in double precision.  Exits with 1 on any wrong verdict.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import time

@@ -7,8 +7,6 @@ undisturbed run, of the earlier job or of the new one.  An error that costs only
 complete.
 """
 
-from __future__ import annotations
-
 import argparse
 import random
 import shutil

@@ -8,8 +8,6 @@ export is read by SurfaceTopography again.  What a job must say in addition, aft
 the table.  1 as exit code if a file that counts is not solved, or anything differs.
 """
 
-from __future__ import annotations
-
 import argparse
 import gzip
 import logging

@@ -7,8 +7,6 @@ run in a copy of the checkout: the files whose tests run the line, those that ru
 two ranks.  Half an hour for 60.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import json

@@ -12,8 +12,6 @@ relative 2-norms, against a certified solution of the same equations: ours
 with the influence coefficients of the program.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import math

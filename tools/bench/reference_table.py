@@ -14,8 +14,6 @@ Writes into FOLDER:
 Runs that are not complete are left out.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import json

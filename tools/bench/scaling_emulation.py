@@ -1,7 +1,5 @@
 """One process does one rank's share of a grid, with messages left out: what many ranks would compute, without them."""
 
-from __future__ import annotations
-
 import math
 import time
 

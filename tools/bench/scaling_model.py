@@ -1,7 +1,5 @@
 """The model of `scaling.py`: seconds of a solve on many ranks, from parts that were measured on few."""
 
-from __future__ import annotations
-
 import math
 import sys
 from pathlib import Path

@@ -2,8 +2,6 @@
 the parameters of a function, or of the fields of a class, with what the text says after their names ("spacing: …").
 """
 
-from __future__ import annotations
-
 import re
 
 import griffe

@@ -2,8 +2,6 @@
 pictures of jobs/ and its examples as notebooks become part of the site.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from pathlib import Path

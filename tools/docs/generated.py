@@ -1,7 +1,5 @@
 """Writes what is generated of pages/reference.md, from the source: python tools/docs/generated.py"""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path

@@ -3,8 +3,6 @@
     python tools/docs/notebooks.py [FOLDER]     # writes NAME.ipynb; the site has them too
 """
 
-from __future__ import annotations
-
 import json
 import re
 import sys

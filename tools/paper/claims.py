@@ -26,8 +26,6 @@ better numbers: resolution, cell, seeds or estimator.  They do not decide.
 `kind` tells results apart from what is none: identities, slips, quotations of other work, and conjectures.
 """
 
-from __future__ import annotations
-
 import math
 import tomllib
 from collections import Counter

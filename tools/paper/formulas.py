@@ -1,7 +1,5 @@
 """Formulas in plain sentences, such as “C_σ/σ_c² ≤ m₂ C_c at λ_s = 8 a”, as MathML in HTML."""
 
-from __future__ import annotations
-
 import html
 import re
 import unicodedata

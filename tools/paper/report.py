@@ -8,8 +8,6 @@ tables of a report's folder.  Claims and rules are in tools/paper/claims.toml; a
 A browser (Chromium or Chrome), where there is one, prints the page to report.pdf.
 """
 
-from __future__ import annotations
-
 import argparse
 import base64
 import csv

@@ -7,8 +7,6 @@ run has OMP_NUM_THREADS threads, and its log is RESULTS/NAME.log.  The first run
 so does Ctrl-C, at once.
 """
 
-from __future__ import annotations
-
 import argparse
 import logging
 import multiprocessing

@@ -4,8 +4,6 @@ Loads of runs that differ by the seed alone are averaged; `--area` is where κ =
 interpolation in the logarithm of the area.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

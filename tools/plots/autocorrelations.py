@@ -4,8 +4,6 @@ From the observable acf, or from the field pressure in row blocks.  The paper's 
 ratio is m₂ = ⟨σ²⟩_c/σ_c² at Δr = 0.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from choosing import near
 from plotting import BLACK, BLUE, GREY, RED, Sheet, standard_error

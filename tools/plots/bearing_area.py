@@ -4,8 +4,6 @@ Exponents μ of |Θ̃|² ∝ q^−μ are fitted to each run, over the range of t
 over the choice of the fit range.  Theory of the bearing area: μ = 2 + H.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Which loads a figure is drawn of: those that have what it needs, by what was imposed, or by contact area.  No MPI."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path

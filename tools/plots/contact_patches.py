@@ -4,8 +4,6 @@ Patches of all loads and seeds of a setting are taken together.  Those of fewer 
 left out of the fits.  Size laws are fitted by maximum likelihood, with a test of goodness.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

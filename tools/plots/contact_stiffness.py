@@ -4,8 +4,6 @@ K = −dp̄/dū (ū: mean gap).  The observable "stiffness" gives it at fixed co
 run the change of p̄ over that of ḡ lies between the K of both, as the contact grows with the load.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator
 from itertools import pairwise

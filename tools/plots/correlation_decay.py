@@ -4,8 +4,6 @@ C_c(∞) is f_c².  `--window` is the fit range in units of the shortest wavelen
 choices.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

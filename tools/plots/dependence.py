@@ -5,8 +5,6 @@ is on the horizontal axis.  `--fit` fits a power law to the absolute means in a 
 `--level` says where each curve reaches a value; `--marks` draws values of the horizontal axis.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ bin by bin from the spectra, with the mean q of each bin.  Spectra end at the su
 share of the energy their bins hold.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from choosing import near
 from plotting import BLACK, Sheet, limited, standard_error, style

@@ -1,7 +1,5 @@
 """Estimators that several figures share: power laws of curves and of samples, crossovers, and bands.  NumPy only."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -5,8 +5,6 @@ from 8 to q_s/(16 q_l), or q_s/(2 q_l) where that leaves less than a factor of 4
 halved at each end) give the spread over choices.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Sequence

@@ -4,8 +4,6 @@ Theory is summed mode by mode from the heights, so that the ratio is 1 in every 
 that differ by the seed alone are averaged; bands in q/q_l carry the standard error over the seeds.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from estimators import band_ratio
 from persson_spectrum import theory as persson_area

@@ -9,8 +9,6 @@ A figure is a file tools/plots/NAME.py with
 and a line in FIGURES.  tools/README.md goes through an example.
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import sys

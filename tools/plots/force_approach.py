@@ -3,8 +3,6 @@
 For a paraboloid the theories are drawn, shifted by what the images in a periodic cell move it.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Leakage: flow factors against load, and the flow through the gap of the last load."""
 
-from __future__ import annotations
-
 import numpy as np
 from contact_stiffness import column, means
 from maps import show_field, thinned

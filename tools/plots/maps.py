@@ -1,7 +1,5 @@
 """Fields in a panel: thinned, with axes and a bar of colours.  No MPI."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

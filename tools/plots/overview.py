@@ -3,8 +3,6 @@
 Writes overview.html, which shows all loads of the first folder, and draws the last one; what was not kept is left out.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 

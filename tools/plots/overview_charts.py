@@ -1,7 +1,5 @@
 """The curves and the table of loads on the overview page.  No MPI."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence

@@ -5,8 +5,6 @@ points around the most loaded part; their other tiles are in a folder beside it.
 page.css and page.js; tiles: `pyramid`.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """Partial slip: how much of the contact sticks at each load, and the traction of the last load."""
 
-from __future__ import annotations
-
 import numpy as np
 from contact_stiffness import column, means
 from maps import show_field, thinned

@@ -1,7 +1,5 @@
 """The area of the contact patch that each point belongs to, for pictures of the patches.  No MPI."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Percolation: the critical constriction of the gap against the contact area, and where it is in the last load."""
 
-from __future__ import annotations
-
 import numpy as np
 from leakage import constriction
 from maps import show_field, thinned

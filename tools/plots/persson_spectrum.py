@@ -4,8 +4,6 @@ Persson's theory says that the ratio is f(q) = erf(√2 p̄/(E' g(q))).  Where t
 solved on the surface low-passed at q, at the same load.  One panel for each setting, with all its loads.
 """
 
-from __future__ import annotations
-
 import matplotlib
 import numpy as np
 from choosing import near

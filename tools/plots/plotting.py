@@ -3,8 +3,6 @@
 Figures have the width of a journal's column or page at their printed size: letters of 7 to 9 points.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 import logging

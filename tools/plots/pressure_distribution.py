@@ -4,8 +4,6 @@ Theory is drawn at the load of the run with the surface's own slope: no free par
 form with the width that fits best.  Runs that differ by the seed alone are averaged.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from choosing import near
 from plotting import BLACK, BLUE, GREY, MOST, Sheet, limited, standard_error, tex

@@ -10,8 +10,6 @@ the finer the steps.  A tile is a line of JavaScript,
 its bytes (along x, then y) as differences along y and then x, modulo 256, deflated (zlib), in base64.  No MPI.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import math

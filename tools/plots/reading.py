@@ -3,8 +3,6 @@
 No MPI.  Spectra and correlations that a run did not write are computed from its fields, in row blocks.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Callable, Iterable

@@ -3,8 +3,6 @@
 The finest grid's corrected area, mean gap and ⟨p²⟩ serve as the limit for the others; it is not drawn itself.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -4,8 +4,6 @@ The half spectrum goes through a scratch file.  Pass 1 transforms rows; pass 2 t
 time; for an autocorrelation it transforms |f̃|² back along the columns, and pass 3 transforms rows back.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 

@@ -1,7 +1,5 @@
 """Which loads are samples of one physical setting, and how settings differ.  No MPI."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ From the observable spectra, or from the field pressure.  Each point is one bin 
 alone are averaged: ratio of the means.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from choosing import near
 from plotting import BLACK, GREY, Sheet, limited, style

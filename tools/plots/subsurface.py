@@ -1,7 +1,5 @@
 """Subsurface stress: von Mises' stress as a function of depth, and where it is largest."""
 
-from __future__ import annotations
-
 from maps import show_field, thinned, unit_text
 from plotting import COLOURS, Sheet, limited
 from reading import Load

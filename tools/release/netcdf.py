@@ -4,8 +4,6 @@ Writes reference.nc from the table in the package, the only copy; each variable 
 jobs/reference/reference.json gives.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 import sys

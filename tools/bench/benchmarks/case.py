@@ -2,8 +2,6 @@
 modules of this folder are run in processes of their own, on so many ranks and threads.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

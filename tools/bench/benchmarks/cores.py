@@ -5,8 +5,6 @@ and a virtual machine's host may take them away.  The share of time that it took
 lost much time say little.
 """
 
-from __future__ import annotations
-
 import json
 import statistics
 import sys

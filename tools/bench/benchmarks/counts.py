@@ -8,8 +8,6 @@ mean gap of .5 rms heights, to 1e-4; "pgfmd free 0.06" solves on a slab with a f
 layer 0.05" on a layer that is 1000 times as stiff as its base; "pgfmd open" on a patch with open boundaries.
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

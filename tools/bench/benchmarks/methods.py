@@ -5,8 +5,6 @@ sets up, solves and notes: once at the end (`LADDERS`, run once per tolerance), 
 (`STEPS`).  Peers are imported inside, so that each is optional.
 """
 
-from __future__ import annotations
-
 import contextlib
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Run time against error, drawn."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import csv_rows

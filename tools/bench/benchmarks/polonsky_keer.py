@@ -3,8 +3,6 @@
 It tells the cost of the algorithm from that of the FFT.
 """
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 

@@ -1,7 +1,5 @@
 """Tables and pictures from DIR/runs.csv: cost to reach an error, ratios to the peers, run time against error."""
 
-from __future__ import annotations
-
 import math
 from collections import defaultdict
 from pathlib import Path

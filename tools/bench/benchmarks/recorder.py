@@ -1,7 +1,5 @@
 """The clock of one run, which stops while the error is measured."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

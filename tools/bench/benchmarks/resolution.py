@@ -1,7 +1,5 @@
 """The discretisation error: one band-limited surface on ever finer grids, against one four times finer than these."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import csv_rows

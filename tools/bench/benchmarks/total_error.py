@@ -5,8 +5,6 @@ This solver takes the area inside the contact line; peers take pixels less the c
 doi:10.1016/j.triboint.2017.04.023), whose time is not counted.  `python -m benchmarks.total_error JOB` is one run.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib.util
 import json

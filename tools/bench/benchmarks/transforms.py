@@ -3,8 +3,6 @@
 All reuse their plans (FFTW_MEASURE, as in pgfmd) and buffers; only the pair is timed.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import time

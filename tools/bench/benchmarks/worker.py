@@ -3,8 +3,6 @@
 Started by tools/bench/benchmark.py.  A small problem is solved first, unmeasured, to load libraries and compiled loops.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

@@ -1,7 +1,5 @@
 """Answers on several ranks beside those on one: fields, columns of the table of loads, datasets of observables."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from campaigns.judging import Answer

@@ -1,7 +1,5 @@
 """Random jobs over all keys, walls, solids, controls and units."""
 
-from __future__ import annotations
-
 import copy
 import math
 

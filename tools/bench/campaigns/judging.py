@@ -1,7 +1,5 @@
 """Checks answers against the slow reference (tests/reference.py)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field

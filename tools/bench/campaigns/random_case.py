@@ -1,7 +1,5 @@
 """A random job: its tables, its TOML text, and how it may end."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import dataclass

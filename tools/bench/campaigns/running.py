@@ -1,7 +1,5 @@
 """One job, run by `pgfmd.solve`, by `simulate` or by the command line, and its verdict."""
 
-from __future__ import annotations
-
 import math
 import re
 import subprocess

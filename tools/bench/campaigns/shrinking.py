@@ -1,7 +1,5 @@
 """A smaller job that goes wrong in the same way."""
 
-from __future__ import annotations
-
 import copy
 import shutil
 from dataclasses import replace

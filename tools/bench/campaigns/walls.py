@@ -1,7 +1,5 @@
 """Checks of contacts under walls of which the slow reference has no solution: equilibrium, and a bound of the error."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
