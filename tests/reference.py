@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import decimal
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -55,21 +56,25 @@ def slab_factor(t, base: str, poisson: float):
 
 @dataclass(frozen=True)
 class Solid:
-    """Contact modulus, and for a slab thickness, base and Poisson's ratio."""
+    """Contact modulus; for a slab thickness, base and Poisson's ratio; for others F(q), over that of a half-space."""
 
     modulus: float = 1.0
     thickness: float = math.inf
     base: str = "bonded"
     poisson: float = 0.25
+    factor: Callable[[float], float] | None = None
 
     def stiffness(self, q: np.ndarray) -> np.ndarray:
         """Pressure per displacement of waves of those |q| > 0, in extended precision."""
         half = Real(self.modulus) / 2 * q
-        if math.isinf(self.thickness):
+        if math.isinf(self.thickness) and self.factor is None:
             return half
         values, where = np.unique(q, return_inverse=True)
-        factors = np.array([slab_factor(value * Real(self.thickness), self.base, self.poisson) for value in values])
-        return half * factors[where].reshape(q.shape)
+        factors = [
+            Real(self.factor(float(value))) if self.factor
+            else slab_factor(value * Real(self.thickness), self.base, self.poisson) for value in values
+        ]  # fmt: skip
+        return half * np.array(factors)[where].reshape(q.shape)
 
     @property
     def mean_compliance(self):
@@ -117,6 +122,11 @@ class Contact:
         kernel = cosines[0] @ modes @ cosines[1] / self.count
         i, j = np.divmod(np.arange(self.count), ny)
         return kernel[(i[:, None] - i) % nx, (j[:, None] - j) % ny]
+
+    @property
+    def matrices(self) -> tuple[np.ndarray, np.ndarray]:
+        """Compliance and stiffness (N, N): displacement per pressure and pressure per displacement, as doubles."""
+        return (self.compliance * self.pixel).astype(float), (self.stiffness / self.pixel).astype(float)
 
     @cached_property
     def rms(self) -> float:

@@ -222,19 +222,6 @@ def test_limits_of_the_wave(ratio):
     assert scaled.stiffness(np.array(0.7)) == pytest.approx(30 * solid.stiffness(np.array(0.7)), rel=1e-14)
 
 
-class Direct:
-    """A solid for `reference.Contact`, by `direct_factor`."""
-
-    def __init__(self, solid: Layered) -> None:
-        self.solid, self.modulus, self.mean_compliance = solid, solid.contact_modulus, reference.Real(0)
-
-    def stiffness(self, q: np.ndarray) -> np.ndarray:
-        """Pressure per displacement."""
-        values, where = np.unique(q, return_inverse=True)
-        factors = [direct_factor(float(value) * self.solid.thickness, self.solid) for value in values]
-        return q / 2 * np.array(factors, reference.Real)[where].reshape(q.shape)
-
-
 @pytest.mark.mpi
 @pytest.mark.parametrize("transform", ["blocked", "mpi4py-fft"])
 @pytest.mark.parametrize("ratio", [0.1, 30.0])
@@ -246,7 +233,8 @@ def test_a_contact_is_that_of_brute_force(comm, ratio, transform):
     grid = SlabGrid(comm, heights.shape, transform=transform)
     problem = under_hard_wall(grid, heights[grid.rows].copy(), 0.1, solid)
     found = solve_contact(problem, Solver(tolerance=1e-20))
-    exact = reference.Contact(heights, (1.0, 1.0), Direct(solid)).hard(0.1)
+    direct = reference.Solid(factor=lambda q: direct_factor(q * solid.thickness, solid))
+    exact = reference.Contact(heights, solid=direct).hard(0.1)
     exact = 0.1 * exact.x.astype(float).reshape(heights.shape)
     assert np.abs(found.pressure - exact[grid.rows]).max() < 1e-8 * np.abs(exact).max()
 

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+import reference
 from contacts import elastic, under_hard_wall
 from job_texts import rough_job
 
@@ -15,10 +16,8 @@ from pgfmd.application.simulate import simulate
 from pgfmd.errors import InputError
 from pgfmd.grid.domain import OPEN, PERIODIC
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.grid.transforms import sink, source
 from pgfmd.observables.rough_surface import RoughSurface
 from pgfmd.observables.stiffness import Stiffness
-from pgfmd.parallel.mpi import ALONE
 from pgfmd.physics.laws.exponential_law import ExponentialWall
 from pgfmd.physics.laws.formula import FormulaWall
 from pgfmd.physics.laws.hard import Hardness, HardWall
@@ -38,16 +37,10 @@ def stiffness_of(comm, pressure, law=None, width=1e-3, domain=PERIODIC):
 
 def dense(pressure, law, domain):
     """K by dense algebra; E' = 1."""
-    (nx, ny), open_ = pressure.shape, domain is OPEN
-    if open_:  # the response of a loaded corner
-        grid, corner, kernel = SlabGrid(ALONE, (nx, ny), domain=OPEN), np.zeros((nx, ny)), np.empty((nx, ny))
-        corner[0, 0] = 1
-        grid.convolve(source(corner), elastic(1.0).apply_compliance(grid, np.float64, 1 / grid.modes), sink(kernel))
-    else:
-        q = 2 * np.pi * np.hypot(np.fft.fftfreq(nx)[:, None], np.fft.fftfreq(ny)[None])
-        kernel = np.fft.ifft2(np.divide(2, q, out=np.zeros_like(q), where=q > 0)).real
-    i, j = np.divmod(np.arange(nx * ny), ny)
-    compliance, p = kernel[abs(i[:, None] - i), abs(j[:, None] - j)], pressure.ravel()
+    size, spacing = np.zeros(pressure.shape), (1.0, 1.0)
+    contact = reference.Contact(size) if domain is PERIODIC else reference.OpenContact(
+        size, spacing, reference.Solid(), OPEN.torus(pressure.shape, spacing))  # fmt: skip
+    (compliance, _), p = contact.matrices, pressure.ravel()
     if isinstance(law, ExponentialWall):  # (G + ζ/p)x = 1, symmetric in x/√p
         root = np.sqrt(p)
         return root @ np.linalg.solve(law.zeta * np.eye(len(p)) + root[:, None] * compliance * root, root) / len(p)

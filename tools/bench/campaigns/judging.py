@@ -76,7 +76,7 @@ def judge(job: dict, heights: np.ndarray | None, answers: list[Answer], table: n
     slab = reference.Solid(solid["contact_modulus"], solid.get("thickness", math.inf), solid.get("base", "free"),
                            solid.get("poisson", 0.25))  # fmt: skip
     if solid.get("kind", "homogeneous") != "homogeneous":
-        slab = SolidOfFactors(solid["contact_modulus"], factor=factor_of(solid, table))
+        slab = reference.Solid(solid["contact_modulus"], factor=factor_of(solid, table))
     if is_open:
         d, torus = slab.thickness, OPEN.torus((n[0], n[1]), tuple(spacings))
         if 0.02 * min(map(math.prod, zip(torus, spacings, strict=True))) < d < 3 * max(spacings):
@@ -100,18 +100,6 @@ def judge(job: dict, heights: np.ndarray | None, answers: list[Answer], table: n
         elif wrong := wrong_answer(contact, job, control, answer):
             return WRONG, f"{control} = {answer.target:g}: {wrong}"
     return RIGHT, ""
-
-
-@dataclass(frozen=True)
-class SolidOfFactors(reference.Solid):
-    """A solid whose stiffness to waves is F(q) times that of a half-space."""
-
-    factor: Callable[[float], float] = lambda q: 1.0
-
-    def stiffness(self, q: np.ndarray) -> np.ndarray:
-        values, where = np.unique(q, return_inverse=True)
-        factors = np.array([reference.Real(self.factor(float(value))) for value in values])
-        return reference.Real(self.modulus) / 2 * q * factors[where].reshape(q.shape)
 
 
 def factor_of(solid: dict, table: np.ndarray | None) -> Callable[[float], float]:

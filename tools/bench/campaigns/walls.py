@@ -101,7 +101,7 @@ def polished(contact: reference.Contact, wall: dict, p: np.ndarray, level: float
     """(pressure of the solution, its gap) from an approximation, by Newton's method on p = the graph's where it meets
     c p − g = its argument.  Raises Unable.
     """
-    A, count, load = (contact.compliance * contact.pixel).astype(float), contact.count, float(p.mean())
+    (A, _), count, load = contact.matrices, contact.count, float(p.mean())
     c, (first, last), heights = float(contact.pixel), wall["gaps"], contact.heights.astype(float)
     p = p.astype(float)
     for _ in range(60):
