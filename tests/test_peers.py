@@ -1,6 +1,7 @@
 """Agreement with independent codes on a rough surface (extra `bench`; skipped where they are not installed)."""
 
 import numpy as np
+import peers
 import pytest
 from contacts import elastic, under_hard_wall
 
@@ -8,7 +9,6 @@ import pgfmd
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.laws.hard import Hardness
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.physics.solids import open_kernel
 from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.options import Solver
@@ -31,17 +31,19 @@ def _agree(theirs: np.ndarray, ours: np.ndarray) -> None:
     assert np.linalg.norm(theirs - ours) <= 1e-6 * np.linalg.norm(ours)
 
 
-def test_tamaas(contact):
-    """tamaas' Polonsky–Keer–Rey at the same load."""
-    tamaas = pytest.importorskip("tamaas")
-    heights, ours = contact
-    tamaas.set_log_level(tamaas.LogLevel.error)
-    model = tamaas.Model(tamaas.model_type.basic_2d, [float(N), float(N)], [N, N])
-    model.E, model.nu = MODULUS, 0.0
-    solver = tamaas.PolonskyKeerRey(model, heights, 1e-12)
-    solver.max_iter = 10_000
-    solver.solve(PRESSURE)
-    _agree(np.asarray(model.traction), ours)
+@pytest.mark.parametrize("program", ["tamaas", "ContactMechanics"])
+def test_a_periodic_contact(contact, program):
+    """tamaas' Polonsky–Keer–Rey, and ContactMechanics' constrained conjugate gradients."""
+    _agree(_theirs(program, contact[0]), contact[1])
+
+
+def _theirs(program: str, heights: np.ndarray, **options: bool | float) -> np.ndarray:
+    """The pressure on a square by another program, at the same load."""
+    pytest.importorskip(program)
+    square = peers.Square(len(heights), MODULUS, bool(options.pop("open", False)))
+    return {"tamaas": peers.tamaas, "ContactMechanics": peers.contact_mechanics}[program](
+        heights, PRESSURE, 1e-12, square, **options
+    )[0]
 
 
 def test_aspher(contact):
@@ -54,39 +56,12 @@ def test_aspher(contact):
     _agree(np.asarray(result.pressure).reshape(N, N), ours)
 
 
-def _by_contact_mechanics(kind: str, heights: np.ndarray, *hardness: float) -> np.ndarray:
-    """The pressure on a square by ContactMechanics' constrained conjugate gradients, at the same load."""
-    package = pytest.importorskip("ContactMechanics")
-    from ContactMechanics.Optimization import constrained_conjugate_gradients
-
-    n = len(heights)
-    substrate = getattr(package, kind)((n, n), MODULUS, (float(n), float(n)))
-    limits = {"pentol": 1e-12, "forcetol": 1e-12, "thermotol": 1e-13, "maxiter": 20_000}
-    found = constrained_conjugate_gradients(substrate, heights, *hardness, external_force=PRESSURE * n**2, **limits)
-    return np.asarray(found.jac)[:n, :n]
-
-
-def test_contact_mechanics(contact):
-    """ContactMechanics' constrained conjugate gradients."""
-    heights, ours = contact
-    _agree(_by_contact_mechanics("PeriodicFFTElasticHalfSpace", heights), ours)
-
-
-def test_an_open_patch_by_contact_mechanics(comm, monkeypatch):
+def test_an_open_patch_by_contact_mechanics(comm):
     """With the kernel of uniform pixels (Love 1929), the pressure on a rough patch is that of its free half-space."""
-
-    def love(x, y):
-        corners = [(x + i, y + j, 4 * i * j) for i in (-0.5, 0.5) for j in (-0.5, 0.5)]
-        return sum(s * (a * np.arcsinh(b / np.abs(a)) + b * np.arcsinh(a / np.abs(b))) for a, b, s in corners)
-
-    def table(grid):  # coarse grids have larger spacings
-        unit = grid.spacing[0]
-        return open_kernel.cosine_transform(grid, lambda x, y: love(x / unit, y / unit) / unit)
-
-    monkeypatch.setattr(open_kernel, "half_space_table", table)
     heights = self_affine(SlabGrid(comm, (96, 96)), 0.8, 8.0, 0.031, 1)
-    ours = pgfmd.solve(heights, PRESSURE, boundary="open", contact_modulus=MODULUS, tolerance=1e-16)
-    _agree(_by_contact_mechanics("FreeFFTElasticHalfSpace", heights), ours.pressure)
+    with peers.love():
+        ours = pgfmd.solve(heights, PRESSURE, boundary="open", contact_modulus=MODULUS, tolerance=1e-16)
+    _agree(_theirs("ContactMechanics", heights, open=True), ours.pressure)
 
 
 @pytest.mark.parametrize("hardness", [10 * PRESSURE, 20 * PRESSURE])
@@ -98,6 +73,6 @@ def test_limited_hardness_by_contact_mechanics(comm, hurst, lambda_s, hardness):
     heights = self_affine(grid, hurst, lambda_s, 0.031, 1)
     problem = ContactProblem(grid, heights, elastic(MODULUS), Hardness(hardness=hardness), PRESSURE)
     ours = solve_contact(problem, Solver(tolerance=1e-16)).pressure
-    theirs = _by_contact_mechanics("PeriodicFFTElasticHalfSpace", heights, hardness)
+    theirs = _theirs("ContactMechanics", heights, hardness=hardness)
     _agree(theirs, ours)
     assert np.count_nonzero(theirs >= hardness * (1 - 1e-12)) == np.count_nonzero(ours == hardness) > 0

@@ -17,18 +17,19 @@ import contextlib
 import math
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import csv_rows
 import numpy as np
+import peers
+from benchmarks.recorder import EnoughError
+from peers import love
 from scipy.special import erfinv
 
 import pgfmd
 from pgfmd.observables.contact import Contact
 from pgfmd.observables.partial_slip import PartialSlip
 from pgfmd.observables.rough_surface import RoughSurface
-from pgfmd.physics.solids import open_kernel
 from pgfmd.physics.solids.homogeneous import Homogeneous
 
 SIDE, SLOPE, ENOUGH = 512.0, 0.1, 1e-4
@@ -70,24 +71,6 @@ def load_of(surface: str, area: float) -> float:
     return 0.01 if kind == "punch" else float(erfinv(area)) * SLOPE / math.sqrt(2) / 1.3
 
 
-@contextlib.contextmanager
-def love() -> Iterator[None]:
-    """In the block our influence coefficients are the peers', of uniform pressure on pixels (Love 1929)."""
-    def kernel(x, y):
-        corners = [(x + i, y + j, 4 * i * j) for i in (-0.5, 0.5) for j in (-0.5, 0.5)]
-        return sum(s * (a * np.arcsinh(b / np.abs(a)) + b * np.arcsinh(a / np.abs(b))) for a, b, s in corners)
-
-    def table(grid):  # coarse grids have larger spacings
-        unit = grid.spacing[0]
-        return open_kernel.cosine_transform(grid, lambda x, y: kernel(x / unit, y / unit) / unit)
-
-    usual, open_kernel.half_space_table = open_kernel.half_space_table, table
-    try:
-        yield
-    finally:
-        open_kernel.half_space_table = usual
-
-
 def ours(heights: np.ndarray, load: float, tolerance: float):
     """Our solution of one load."""
     spacing = SIDE / len(heights)
@@ -109,60 +92,8 @@ def aspher(heights: np.ndarray, load: float, tolerance: float, setting: str):
     return np.asarray(found.pressure).reshape(n, n), work
 
 
-class Enough(Exception):  # noqa: N818 (it is none)
-    """The pressure is good enough, or the time is over."""
-
-
-def contact_mechanics(heights: np.ndarray, load: float, tolerance: float, watch=lambda pressure: None):
-    """(pressure, iterations) by ContactMechanics' conjugate gradients; watch(pressure) may raise `Enough`."""
-    from ContactMechanics import FreeFFTElasticHalfSpace
-    from ContactMechanics.Optimization import constrained_conjugate_gradients
-
-    n, taken = len(heights), [0, heights]
-    area = (SIDE / n) ** 2
-
-    def note(iteration, forces, _):
-        taken[:] = iteration, -np.asarray(forces)[:n, :n] / area
-        watch(taken[1])
-
-    substrate = FreeFFTElasticHalfSpace((n, n), 1.0, (SIDE, SIDE))
-    limits = {"pentol": tolerance, "forcetol": tolerance, "thermotol": tolerance / 10, "maxiter": 20_000}
-    with contextlib.suppress(Enough):
-        found = constrained_conjugate_gradients(
-            substrate, heights, external_force=load * SIDE**2, callback=note, **limits
-        )
-        return np.asarray(found.jac)[:n, :n] / area, found.nit
-    return taken[1], taken[0]
-
-
-def tamaas(heights: np.ndarray, load: float, tolerance: float, watch=lambda pressure: None):
-    """(pressure, iterations) by tamaas' Polonsky–Keer–Rey; without `setIntegralOperator` the problem is periodic."""
-    import tamaas as peer
-
-    peer.set_log_level(peer.LogLevel.error)
-    taken = [0, heights]
-
-    class Watch(peer.Functional):
-        def computeF(self, variable, dual):  # noqa: N802 (their name)
-            return 0.0
-
-        def computeGradF(self, variable, gradient):  # noqa: N802
-            taken[:] = taken[0] + 1, np.asarray(variable).reshape(heights.shape)
-            watch(taken[1])
-
-    model = peer.Model(peer.model_type.basic_2d, [SIDE, SIDE], list(heights.shape))
-    model.E, model.nu = 1.0, 0.0
-    peer.ModelFactory.registerNonPeriodic(model, "open")
-    solver, functional = peer.PolonskyKeerRey(model, heights, tolerance), Watch()  # it must live as long as the solver
-    solver.setIntegralOperator("open")
-    solver.addFunctionalTerm(functional)
-    solver.max_iter = 20_000
-    with contextlib.suppress(Enough):
-        solver.solve(load)
-    return np.array(taken[1]), taken[0]
-
-
-WATCHED = {"ContactMechanics": contact_mechanics, "tamaas": tamaas}
+WATCHED = {"ContactMechanics": peers.contact_mechanics, "tamaas": peers.tamaas}
+SQUARE = peers.Square(SIDE, 1.0, open=True)
 
 
 def error_of(pressure: np.ndarray, reference: np.ndarray) -> float:
@@ -176,7 +107,7 @@ def equal(case: dict, heights: np.ndarray, program: str) -> dict:
     if program == "ASPHER":
         found, _ = aspher(heights, case["load"], 1e-11, "fft auto double")
     else:
-        found, _ = WATCHED[program](heights, case["load"], 1e-11)
+        found, _ = WATCHED[program](heights, case["load"], 1e-11, SQUARE)
     return {"pressure_error": error_of(found, known), "area": float(np.mean(found > 0))}
 
 
@@ -220,15 +151,15 @@ def speed(case: dict, heights: np.ndarray, program: str, setting: str, budget: f
     if program in WATCHED:
         spent = [0.0]
 
-        def watch(pressure) -> None:
+        def watch(field, _, scale) -> None:
             now = time.process_time()
-            row["pressure_error"] = error_of(pressure, known)
+            row["pressure_error"] = error_of(field * scale, known)
             spent[0] += time.process_time() - now
             if row["pressure_error"] <= ENOUGH or now - began - spent[0] > budget:
-                raise Enough
+                raise EnoughError
 
         began = time.process_time()
-        _, row["work"] = WATCHED[program](heights, case["load"], 1e-14, watch)
+        _, row["work"] = WATCHED[program](heights, case["load"], 1e-14, SQUARE, watch)
         return row | {"cpu": time.process_time() - began - spent[0]}
     for tolerance in (10.0 ** (-0.5 * k) for k in range(4 if program == "pgfmd" else 10, 24)):
         began = time.process_time()

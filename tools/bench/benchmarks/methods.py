@@ -9,6 +9,7 @@ import contextlib
 from functools import partial
 
 import numpy as np
+import peers
 
 from pgfmd.errors import SolverError
 from pgfmd.grid.slab_grid import SlabGrid
@@ -103,50 +104,13 @@ def _aspher_transforms(case: Case, result, engine: str) -> float:
     return total
 
 
-def tamaas(case: Case, heights, mean_pressure, recorder: Recorder, tolerance: float, threads: int) -> None:
-    """tamaas' Polonsky–Keer–Rey in pressures (in gaps it takes far longer), watched by a functional of zero."""
-    import tamaas as peer
-
-    peer.set_log_level(peer.LogLevel.error)
-    peer.initialize(threads)
-    iterations = 0
-
-    class Watch(peer.Functional):
-        def computeF(self, variable, dual):  # noqa: N802 (their name)
-            return 0.0
-
-        def computeGradF(self, variable, gradient):  # noqa: N802
-            nonlocal iterations
-            if iterations:  # the first is the uniform start
-                recorder.note(np.asarray(variable).reshape(heights.shape), 2 * iterations, may_stop=True)
-            iterations += 1
+def watched(peer, case: Case, heights, mean_pressure, recorder: Recorder, tolerance: float, threads: int) -> None:
+    """A program of `peers`, noted after each iteration of two transform pairs; OMP_NUM_THREADS counts its threads."""
+    def watch(field, count, scale):
+        recorder.note(field, 2 * count, scale, may_stop=True)
 
     recorder.start()
-    model = peer.Model(peer.model_type.basic_2d, [float(case.n)] * 2, [case.n, case.n])
-    model.E, model.nu = CONTACT_MODULUS, 0.0
-    solver = peer.PolonskyKeerRey(model, heights, tolerance)
-    watch = Watch()  # must live as long as the solver
-    solver.addFunctionalTerm(watch)
-    solver.max_iter = 100_000
-    with contextlib.suppress(EnoughError):
-        solver.solve(mean_pressure)
-
-
-def contact_mechanics(case: Case, heights, mean_pressure, recorder: Recorder, tolerance: float, threads: int) -> None:
-    """ContactMechanics' constrained conjugate gradients, watched through its callback."""
-    from ContactMechanics import PeriodicFFTElasticHalfSpace
-    from ContactMechanics.Optimization import constrained_conjugate_gradients
-
-    def watch(iteration, forces, _):
-        recorder.note(forces, 2 * iteration, -1.0, may_stop=True)
-
-    recorder.start()
-    substrate = PeriodicFFTElasticHalfSpace((case.n, case.n), CONTACT_MODULUS, (float(case.n), float(case.n)))
-    with contextlib.suppress(EnoughError):
-        constrained_conjugate_gradients(
-            substrate, heights, external_force=mean_pressure * case.n**2, callback=watch,
-            pentol=tolerance, forcetol=tolerance, thermotol=tolerance,
-        )  # fmt: skip
+    peer(heights, mean_pressure, tolerance, peers.Square(case.n, CONTACT_MODULUS), watch)
 
 
 LADDERS = {"pgfmd": pgfmd, "ASPHER": aspher}
@@ -154,8 +118,8 @@ STEPS = {
     "pgfmd steps": pgfmd_steps,
     "Polonsky-Keer": plain_polonsky_keer,
     "GFMD": gfmd,
-    "tamaas": tamaas,
-    "ContactMechanics": contact_mechanics,
+    "tamaas": partial(watched, peers.tamaas),
+    "ContactMechanics": partial(watched, peers.contact_mechanics),
 }
 METHODS = LADDERS | STEPS
 PEERS = {"ASPHER": "aspher", "tamaas": "tamaas", "ContactMechanics": "ContactMechanics"}  # and their modules
