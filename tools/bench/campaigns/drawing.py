@@ -66,26 +66,20 @@ def _exponent(chance) -> float:
 
 def _grid(chance, shape, spacing) -> dict:
     table = {"n": shape[0] if shape[0] == shape[1] and chance.random() < 0.5 else shape}
-    way = chance.integers(2)
-    if way == 0:
-        table["spacing"] = [float(value) for value in spacing]
-    else:
-        table["length"] = [float(n * value) for n, value in zip(shape, spacing, strict=True)]
-    return table
+    if chance.integers(2):
+        return table | {"length": [float(n * value) for n, value in zip(shape, spacing, strict=True)]}
+    return table | {"spacing": [float(value) for value in spacing]}
 
 
 def _solid(chance, modulus: float, shape, spacing) -> dict:
     poisson = float(chance.choice([chance.uniform(-0.9, 0.49), 0.25, 0.0, 0.4999], p=[0.5, 0.3, 0.1, 0.1]))
-    way = chance.integers(4)
-    if way == 0:
-        table = {"contact_modulus": modulus, "poisson": poisson}
-    elif way == 1:
-        table = {"young": modulus * (1 - poisson**2), "poisson": poisson}
-    elif way == 2:
-        mu = modulus * (1 - poisson) / 2
-        table = {"lame_lambda": 2 * mu * poisson / (1 - 2 * poisson), "lame_mu": mu}
-    else:
-        table = {"contact_modulus": modulus}
+    way, mu = chance.integers(4), modulus * (1 - poisson) / 2
+    table = (
+        {"contact_modulus": modulus, "poisson": poisson},
+        {"young": modulus * (1 - poisson**2), "poisson": poisson},
+        {"lame_lambda": 2 * mu * poisson / (1 - 2 * poisson), "lame_mu": mu},
+        {"contact_modulus": modulus},
+    )[way]
     if chance.random() < 0.4:
         cell = float(max(n * value for n, value in zip(shape, spacing, strict=True)))
         power = chance.uniform(-3, 1.5) if chance.random() < 0.8 else chance.uniform(-20, 20)
@@ -100,12 +94,9 @@ def _surface(chance, shape, spacing, size: float, steepness: float) -> tuple[dic
     kind = chance.choice(["file", "self-affine", "sinusoid", "paraboloid"], p=[0.45, 0.3, 0.15, 0.1])
     if kind == "self-affine":
         longest = max(n * value for n, value in zip(shape, spacing, strict=True)) / min(spacing)
-        table = {
-            "kind": "self-affine",
-            "hurst": float(chance.uniform(0, 1)),
-            "lambda_s": float(chance.choice([1.0, min(2.0, longest), chance.uniform(0.5, longest)])),
-            "rms_slope": float(steepness),
-        }
+        table = {"kind": "self-affine", "hurst": float(chance.uniform(0, 1))}
+        table["lambda_s"] = float(chance.choice([1.0, min(2.0, longest), chance.uniform(0.5, longest)]))
+        table["rms_slope"] = float(steepness)
         if chance.random() < 0.5:
             table["seed"] = int(chance.integers(0, 2**63 - 1))
         if chance.random() < 0.2:
@@ -137,28 +128,21 @@ def draw_heights(chance, shape) -> np.ndarray:
     """An odd surface of heights of order 1."""
     noise = chance.standard_normal(shape)
     way = chance.integers(10)
-    if way == 0:  # plateaus
-        return np.round(noise)
-    if way == 1:  # pillars
-        return (noise > 0.7).astype(float)
-    if way == 2:  # spikes that differ in their last digits
-        spikes = np.zeros(shape)
-        for _ in range(int(chance.integers(1, 5))):
-            spikes[chance.integers(shape[0]), chance.integers(shape[1])] = 1 + 10.0 ** -chance.integers(1, 17)
-        return spikes
-    if way == 3:  # far from zero
-        return noise + 10 ** chance.uniform(0, 9)
-    if way == 4:  # heights of all sizes
-        return noise * 10 ** chance.uniform(-8, 0, shape)
-    if way == 5:  # flat, but for a hole or nothing
+    if way in (2, 5):  # spikes that differ in their last digits; flat, but for a hole or nothing
         flat = np.zeros(shape)
-        flat[chance.integers(shape[0]), chance.integers(shape[1])] = -chance.integers(2)
+        for _ in range(int(chance.integers(1, 5)) if way == 2 else 1):
+            value = 1 + 10.0 ** -chance.integers(1, 17) if way == 2 else -chance.integers(2)
+            flat[chance.integers(shape[0]), chance.integers(shape[1])] = value
         return flat
-    if way == 6:  # a step
-        return np.repeat(np.sign(chance.standard_normal((shape[0], 1))), shape[1], 1)
-    if way == 7:  # single precision
-        return noise.astype(np.float32).astype(float)
-    return noise
+    odd = {
+        0: lambda: np.round(noise),  # plateaus
+        1: lambda: (noise > 0.7).astype(float),  # pillars
+        3: lambda: noise + 10 ** chance.uniform(0, 9),  # far from zero
+        4: lambda: noise * 10 ** chance.uniform(-8, 0, shape),  # heights of all sizes
+        6: lambda: np.repeat(np.sign(chance.standard_normal((shape[0], 1))), shape[1], 1),  # a step
+        7: lambda: noise.astype(np.float32).astype(float),  # single precision
+    }
+    return odd.get(int(way), lambda: noise)()
 
 
 def _wall(chance, size: float, stress: float) -> dict:
