@@ -7,7 +7,7 @@ over the choice of the fit range.  Theory of the bearing area: μ = 2 + H.
 from collections.abc import Sequence
 
 import numpy as np
-from choosing import near
+from choosing import AREAS, WINDOW, near
 from estimators import fit_power_law, windows, within
 from exponents import default_window
 from plotting import BLACK, BLUE, ORANGE, Sheet, standard_error, tex
@@ -20,10 +20,7 @@ CAPTION = """Contact spectra of the elastic solid (open symbols) and of the bear
 sum over all q ≠ 0 is one; lines: power laws fitted over the range that they span, with the exponents named; dotted:
 published ones, named in brackets. Bars: standard error over seeds."""
 NEEDS = ("spectra", "bearing", "partial contact")
-OPTIONS = {
-    "--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"},
-    "--window": {"type": float, "nargs": 2, "metavar": ("FROM", "TO"), "help": "fit range in q/q_l"},
-}
+OPTIONS = AREAS | WINDOW
 KINDS = (("contact", "elastic contact", ORANGE, "o", "white", "-"), ("bearing", "bearing area", BLUE, "s", BLUE, "--"))
 MOST = 3
 
@@ -35,7 +32,7 @@ def draw(
     """One panel for each setting and load (at most three are drawn, all are fitted); beside published exponents:
     (H, elastic, bearing) each.
     """
-    groups = ensembles(near(loads, areas, slack=0.15) if areas else loads)
+    groups = ensembles(near(loads, areas, slack=0.15))
     sheet = Sheet(1, min(MOST, len(groups)), height=2.5)
     if len(groups) > MOST:
         sheet.notes.append(f"{len(groups)} settings and loads were given; the first {MOST} are drawn, all are fitted")

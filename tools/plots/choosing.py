@@ -36,6 +36,10 @@ NEEDS: dict[str, tuple[Callable[[Load], bool], str]] = {
     "self-affine": (lambda load: load.hurst is not None, 'surface.kind = "self-affine"'),
 }
 
+# Options that several figures have.
+AREAS = {"--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"}}
+WINDOW = {"--window": {"type": float, "nargs": 2, "metavar": ("FROM", "TO"), "help": "fit range in q/q_l"}}
+
 
 def suitable(found: Sequence[Load], needs: Sequence[str], figure: str) -> tuple[list[Load], list[str]]:
     """The loads that have all a figure needs, and a line for each reason why others were left out.
@@ -70,13 +74,16 @@ def imposed(found: Sequence[Load], targets: Sequence[float]) -> list[Load]:
     return chosen
 
 
-def near(found: Iterable[Load], areas: Iterable[float], slack: float = 0.1) -> list[Load]:
-    """For each area, of each folder the load whose contact area is nearest, if it is within `slack` relatively.
+def near(found: Iterable[Load], areas: Sequence[float], slack: float = 0.1) -> list[Load]:
+    """For each area, of each folder the load whose contact area is nearest, if it is within `slack` relatively; all
+    loads if no area is given.
 
     Raises InputError if there is none for one of the areas.
     """
     chosen: list[Load] = []
     found = list(found)
+    if not areas:
+        return found
     for area in areas:
         best: dict[Path, Load] = {}
         for load in found:

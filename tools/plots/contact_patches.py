@@ -7,8 +7,8 @@ left out of the fits.  Size laws are fitted by maximum likelihood, with a test o
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from choosing import near
-from estimators import broken_power_law, fit_power_law, goodness, tail_exponent
+from choosing import AREAS, near
+from estimators import broken_power_law, fit_power_law, goodness, left_out_error, tail_exponent
 from plotting import BLACK, BLUE, COLOURS, GREY, MARKERS, Finding, Sheet, guide
 from reading import Load
 from samples import by_run, ensembles
@@ -21,8 +21,7 @@ patch areas in elastic contact (filled) and of the bearing area (open), with pow
 over the range that they span (full lines; grey: bearing area), and its law τ = 2 − H/2 (dashed). Bearing areas are
 shown where the runs kept their patches. Dotted: the smallest patch in the fits."""
 NEEDS = ("patches", "area", "roughness")
-OPTIONS = {
-    "--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"},
+OPTIONS = AREAS | {
     "--smallest": {"type": int, "help": "pixels of the smallest patch in the fits (default 16)"},
 }
 SMALL, LARGE = 0.1, 1.0  # in λ_s²: patches up to SMALL are parts of single asperities, those from LARGE on hold many
@@ -36,8 +35,7 @@ Sample = tuple[np.ndarray, np.ndarray]
 
 def draw(loads: list[Load], areas: tuple[float, ...] = (), smallest: int = 16) -> Sheet:
     """Both panels, of the first setting; numbers of all loads and seeds together, with errors over the seeds."""
-    chosen = near(loads, areas) if areas else loads
-    settings = ensembles(chosen, by_load=False)
+    settings = ensembles(near(loads, areas), by_load=False)
     setting, sheet = settings[0], Sheet(1, 2, height=2.9)
     if len(settings) > 1:
         sheet.notes.append(f"one of {len(settings)} settings is drawn: {setting.label}")
@@ -143,21 +141,14 @@ def report_sizes(sheet: Sheet, kind: str, sizes: list[np.ndarray], resolved: flo
 
 def _report(sheet: Sheet, name: str, samples: list, estimate: Callable, others: Sequence[Callable]):
     """A number of all samples together; error by leaving one sample (seed) out at a time; others as choices."""
-    whole = merged(samples) if isinstance(samples[0], tuple) else np.concatenate(samples)
+    join = merged if isinstance(samples[0], tuple) else np.concatenate
+    whole = join(samples)
     value = estimate(whole)
     if not np.isfinite(value):
         return
     sheet.findings.add(name, value, [other(whole) for other in others])
-    if len(samples) > 1:
-        left = [samples[:i] + samples[i + 1 :] for i in range(len(samples))]
-        rest = np.array(
-            [estimate(merged(part) if isinstance(part[0], tuple) else np.concatenate(part)) for part in left]
-        )
-        rest = rest[np.isfinite(rest)]
-        if len(rest) > 1:
-            error = float(np.sqrt((len(rest) - 1) / len(rest) * np.sum((rest - rest.mean()) ** 2)))
-            found = sheet.findings[name]
-            sheet.findings[name] = Finding(found.value, error, found.choices, len(samples))
+    if (error := left_out_error(samples, lambda some: estimate(join(some)))) is not None:
+        sheet.findings[name] = Finding(value, error, sheet.findings[name].choices, len(samples))
 
 
 def _broken(sample: Sample, resolved: float) -> float:

@@ -7,8 +7,8 @@ choices.
 from dataclasses import replace
 
 import numpy as np
-from choosing import near
-from estimators import fit_power_law, windows, within
+from choosing import AREAS, near
+from estimators import fit_power_law, left_out_error, windows, within
 from plotting import BLACK, Sheet, limited, standard_error, style
 from reading import Load
 from samples import Ensemble, common_bins, ensembles
@@ -17,8 +17,7 @@ CAPTION = """Autocorrelation of the contact less its limit at large distance, ov
 laws fitted over the range that they span, with their exponents ν. Dashed: the correlation of a spectrum q^(−1−H) in
 the same cell, which falls as Δr^(−(1−H)) in an infinite one. Bars: standard error over seeds."""
 NEEDS = ("correlations", "partial contact")
-OPTIONS = {
-    "--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"},
+OPTIONS = AREAS | {
     "--window": {"type": float, "nargs": 2, "metavar": ("FROM", "TO"), "help": "fit range in Δr/λ_s (default 4 64)"},
 }
 
@@ -26,7 +25,7 @@ OPTIONS = {
 def draw(loads: list[Load], areas: tuple[float, ...] = (), window: tuple[float, float] = (4, 64)) -> Sheet:
     """(C_c − f_c²)/(f_c − f_c²) of each setting and load, and ν."""
     sheet = Sheet()
-    for number, group in enumerate(limited(ensembles(near(loads, areas) if areas else loads), sheet)):
+    for number, group in enumerate(limited(ensembles(near(loads, areas)), sheet)):
         r, contact = common_bins([load.correlation("contact") for load in group])
         f = np.array([load.area for load in group])[:, None]
         x, decay = r / shortest(group), (contact - f**2) / (f - f**2)
@@ -91,11 +90,7 @@ def report(sheet: Sheet, group: Ensemble, r: np.ndarray, decay: np.ndarray, limi
 
     count, ranges = len(decay), windows(limits)
     values = np.array([fit(decay, each) for each in ranges])
-    error = None
-    if count > 1:
-        left = np.array([fit(np.delete(decay, i, axis=0), limits) for i in range(count)])
-        error = float(np.sqrt((count - 1) / count * np.sum((left - left.mean()) ** 2)))
-        error = error if np.isfinite(error) else None
+    error = left_out_error(list(decay), lambda rows: fit(np.array(rows), limits))
     shifts = {f"ν, {group.name}": np.zeros(len(ranges))}
     if group.hurst is not None:
         law = cell_law(group, r)[None]

@@ -14,7 +14,7 @@ import contact_patches
 import field_theory
 import numpy as np
 import persson_spectrum
-from estimators import band_ratio, broken_power_law, crossing, fit_power_law, tail_exponent
+from estimators import band_ratio, broken_power_law, crossing, fit_power_law, left_out_error, tail_exponent
 from matplotlib.ticker import NullLocator
 from plotting import BLACK, GREY, MOST, Finding, Sheet, standard_error, style
 from reading import Load
@@ -279,8 +279,7 @@ def _fit(sheet: Sheet, name: str, seeds: list[list[tuple[float, float]]], limits
     if name not in sheet.findings:
         return
     if len(whole) > 2:
-        rest = np.array([exponent(whole[:i] + whole[i + 1 :])[0] for i in range(len(whole))])
-        error = float(np.sqrt((len(rest) - 1) / len(rest) * np.sum((rest - rest.mean()) ** 2)))
+        error = left_out_error(whole, lambda some: exponent(some)[0])
         sheet.findings[name] = Finding(slope, error, None, len(whole))
     along = np.geomspace(x[0], x[-1], 40)
     panel, colour = look

@@ -6,7 +6,7 @@ share of the energy their bins hold.
 """
 
 import numpy as np
-from choosing import near
+from choosing import AREAS, near
 from plotting import BLACK, Sheet, limited, standard_error, style
 from reading import Load
 from samples import Ensemble, common_bins, ensembles
@@ -18,13 +18,13 @@ CAPTION = """(a) Share of waves up to q in the elastic energy. (b) Elastic energ
 sum. Filled symbols: simulation, with standard errors over seeds; lines with open symbols: Persson's theory at the same
 load, over the simulation's energy."""
 NEEDS = ("spectra", "load", "roughness")
-OPTIONS = {"--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"}}
+OPTIONS = AREAS
 
 
 def draw(loads: list[Load], areas: tuple[float, ...] = ()) -> Sheet:
     """Cumulative and differential energy of each setting and load."""
     sheet = Sheet(1, 2)
-    for number, group in enumerate(limited(ensembles(near(loads, areas) if areas else loads), sheet)):
+    for number, group in enumerate(limited(ensembles(near(loads, areas)), sheet)):
         name, label = group.name, group.label or "simulation"
         totals = np.array([load.number("elastic_energy") for load in group])
         q, energy = common_bins([energies(load) for load in group])

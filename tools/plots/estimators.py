@@ -1,7 +1,7 @@
 """Estimators that several figures share: power laws of curves and of samples, crossovers, and bands.  NumPy only."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -40,6 +40,13 @@ def band_ratio(bands: Sequence[tuple[float, float]], x, count, above, below) -> 
         total = float(np.sum((count * below)[inside]))
         ratios.append(float(np.sum((count * above)[inside])) / total if total > 0 else math.nan)
     return np.array(ratios)
+
+
+def left_out_error(samples: list, estimate: Callable[[list], float]) -> float | None:
+    """Standard error of an estimate of all samples, by leaving one out at a time; None if fewer than two are finite."""
+    rest = np.array([estimate(samples[:i] + samples[i + 1 :]) for i in range(len(samples))] if len(samples) > 1 else [])
+    rest = rest[np.isfinite(rest)]
+    return float(np.sqrt((len(rest) - 1) / len(rest) * np.sum((rest - rest.mean()) ** 2))) if len(rest) > 1 else None
 
 
 def tail_exponent(sample, least: float, most: float = math.inf) -> tuple[float, float, float]:

@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
-from choosing import near
+from choosing import AREAS, WINDOW, near
 from estimators import fit_power_law, windows, within
 from plotting import BLACK, COLOURS, GREY, Finding, Sheet, style
 from reading import Load
@@ -23,10 +23,7 @@ they span, drawn a factor of 1.6 above the data. (b) The ratio of the scaled spe
 load in octaves of q, with standard errors. (c) Exponents of the joint fit against the Hurst exponent with both
 errors, with 1 + H and published ones."""
 NEEDS = ("spectra", "partial contact")
-OPTIONS = {
-    "--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"},
-    "--window": {"type": float, "nargs": 2, "metavar": ("FROM", "TO"), "help": "fit range in q/q_l"},
-}
+OPTIONS = AREAS | WINDOW
 KINDS = ("joint", "stress", "contact", "difference")
 DRAWN = 4  # settings in the first two panels
 
@@ -41,7 +38,7 @@ def draw(
     reference: Sequence[tuple[float, float, float]] = (),
 ) -> Sheet:
     """Spectra with joint fits, the ratio between loads, and μ against H; beside published ones: (H, μ, error) each."""
-    groups = ensembles(near(loads, areas) if areas else loads, by_load=False)
+    groups = ensembles(near(loads, areas), by_load=False)
     sheet = Sheet(1, 3, height=2.9)
     largest = max(max(group.results.shape) for group in groups)
     shown = [group for group in groups if max(group.results.shape) == largest][:DRAWN]

@@ -6,7 +6,7 @@ solved on the surface low-passed at q, at the same load.  One panel for each set
 
 import matplotlib
 import numpy as np
-from choosing import near
+from choosing import AREAS, near
 from estimators import crossing, fit_power_law
 from plotting import BLACK, Sheet, standard_error, tex
 from reading import Load
@@ -18,7 +18,7 @@ CAPTION = """Symbols: the stress spectrum over that of full contact, one curve f
 Full lines: f(q) of Persson's theory at the same load. Broken lines: f(q) as solved for the surface low-passed at q,
 where that was computed. Below, on a linear axis: contact areas from 0.4 to 0.95. Bars: standard error over seeds."""
 NEEDS = ("spectra", "load", "roughness")
-OPTIONS = {"--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"}}
+OPTIONS = AREAS
 LEVELS = 0.9, 0.8, 0.95  # ratios at which it leaves full contact; the first is reported, the others are choices
 MIDDLE = 0.4, 0.95  # contact areas that are drawn on a linear axis, too
 INNER = 4.0  # q/q_l from which ratios are averaged, up to q_s/2
@@ -26,8 +26,7 @@ INNER = 4.0  # q/q_l from which ratios are averaged, up to q_s/2
 
 def draw(loads: list[Load], areas: tuple[float, ...] = ()) -> Sheet:
     """One panel for each setting, all loads in it."""
-    chosen = near(loads, areas) if areas else loads
-    settings = ensembles(chosen, by_load=False)
+    settings = ensembles(near(loads, areas), by_load=False)
     linear = any(MIDDLE[0] < load.area < MIDDLE[1] for setting in settings[:2] for load in setting)
     columns = min(2, len(settings))
     sheet = Sheet(1 + linear, columns, height=2.7 if linear else 3.1)

@@ -5,7 +5,7 @@ form with the width that fits best.  Runs that differ by the seed alone are aver
 """
 
 import numpy as np
-from choosing import near
+from choosing import AREAS, near
 from plotting import BLACK, BLUE, GREY, MOST, Sheet, limited, standard_error, tex
 from reading import Load
 from samples import Ensemble, ensembles
@@ -17,7 +17,7 @@ setting: (a) linear, (b) logarithmic; several: a panel for each. Black lines: Pe
 a free parameter; grey dashed lines: the same form with the width that fits best, by least squares of the density, each
 bin of the histogram weighted with its width. Bars: standard error over seeds."""
 NEEDS = ("histogram", "area", "roughness")
-OPTIONS = {"--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"}}
+OPTIONS = AREAS
 COLUMNS = 4  # panels in a row, of several settings
 BINS = 60  # on which seeds are averaged
 BANDS = ((0.0, 0.1), (0.1, 0.5), (0.5, 1.0), (1.0, 2.0), (2.0, 3.0), (3.0, 4.0))  # of σ/(E'g/2)
@@ -25,7 +25,7 @@ BANDS = ((0.0, 0.1), (0.1, 0.5), (0.5, 1.0), (1.0, 2.0), (2.0, 3.0), (3.0, 4.0))
 
 def draw(loads: list[Load], areas: tuple[float, ...] = ()) -> Sheet:
     """P(σ): of one setting and load, linear and logarithmic; of several, logarithmic, in panels of their own."""
-    groups = ensembles(near(loads, areas) if areas else loads)
+    groups = ensembles(near(loads, areas))
     one = len(groups) == 1
     columns = 2 if one else min(COLUMNS, len(groups))
     rows = -(-min(len(groups), MOST) // columns)

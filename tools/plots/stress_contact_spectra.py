@@ -5,7 +5,7 @@ alone are averaged: ratio of the means.
 """
 
 import numpy as np
-from choosing import near
+from choosing import AREAS, near
 from plotting import BLACK, GREY, Sheet, limited, style
 from reading import Load
 from samples import Ensemble, common_bins, ensembles, setting
@@ -14,14 +14,14 @@ CAPTION = """(a) Stress spectrum over σ_c² against the contact spectrum, one s
 1 (full line) and 2 (dashed). (b) Their ratio, with the bounds 1 and 2; bars: standard error over seeds. Dotted: the
 largest wave number along an axis of the grid; beyond it bins hold only waves along its diagonals."""
 NEEDS = ("spectra", "partial contact")
-OPTIONS = {"--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"}}
+OPTIONS = AREAS
 LONG = 8.5  # q/q_l up to which waves are called long
 
 
 def draw(loads: list[Load], areas: tuple[float, ...] = ()) -> Sheet:
     """|σ̃|²/σ_c² against |Θ̃|², and their ratio against q."""
     sheet = Sheet(1, 2, height=2.9)
-    groups = limited(ensembles(near(loads, areas) if areas else loads), sheet)
+    groups = limited(ensembles(near(loads, areas)), sheet)
     settings = list(dict.fromkeys(str(setting(group.loads[0])) for group in groups))
     ends: list[float] = []
     for number, group in enumerate(groups):
