@@ -10,6 +10,7 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.homogeneous import Homogeneous
 from pgfmd.physics.solids.solid import Solid
 from pgfmd.solvers.solution import Certificate, ContactSolution
+from pgfmd.surfaces.self_affine import self_affine
 
 
 def elastic(
@@ -20,6 +21,12 @@ def elastic(
 
 
 HALF_SPACE = elastic(1.0)
+
+
+def rough_on(comm, shape: tuple[int, int], *numbers: float, **more) -> tuple[SlabGrid, np.ndarray]:
+    """A grid, and its self-affine surface of (H, λ_s, rms slope, seed, …).  Collective."""
+    grid = SlabGrid(comm, shape)
+    return grid, self_affine(grid, *numbers, **more)
 
 
 def under_hard_wall(grid: SlabGrid, heights: np.ndarray, load=0.0, solid: Solid = HALF_SPACE) -> ContactProblem:

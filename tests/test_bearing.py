@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from contacts import solution_of, under_hard_wall
+from contacts import rough_on, solution_of, under_hard_wall
 
 from pgfmd import theory
 from pgfmd.grid.slab_grid import SlabGrid
@@ -10,7 +10,6 @@ from pgfmd.observables.bearing_area import threshold_for_count
 from pgfmd.observables.contact import Contact
 from pgfmd.observables.observable_kinds import OBSERVABLES
 from pgfmd.observables.rough_surface import RoughSurface
-from pgfmd.surfaces.self_affine import self_affine
 
 pytestmark = [pytest.mark.mpi, pytest.mark.uneven]
 
@@ -53,8 +52,7 @@ def test_equal_heights(comm):
 
 def bearing(comm, n, hurst, seed, fraction, lambda_s=1.0, names=("bearing", "spectra", "acf")):
     """Groups of a surface whose contact, whatever it is, has the given relative area."""
-    grid = SlabGrid(comm, (n, n))
-    heights = self_affine(grid, hurst, lambda_s, 0.031, seed)
+    grid, heights = rough_on(comm, (n, n), hurst, lambda_s, 0.031, seed)
     pressure = np.zeros(grid.local_shape)
     pixels = round(fraction * grid.size)
     index = np.arange(grid.rows.start * n, grid.rows.stop * n).reshape(pressure.shape)
@@ -85,8 +83,7 @@ def test_area_and_curves(comm):
 def test_autocorrelation_of_a_gaussian_surface(comm):
     """⟨ΘΘ'⟩ follows from the height autocorrelation alone (Owen's T function) on a surface of many independent bumps.
     The cell holds 64² correlation areas, so that averages scatter by a few per cent of f_c."""
-    grid = SlabGrid(comm, (512, 512))
-    heights = self_affine(grid, 0.5, 8, 0.031, 2, lambda_l=16)
+    grid, heights = rough_on(comm, (512, 512), 0.5, 8, 0.031, 2, lambda_l=16)
     pressure = (np.arange(grid.rows.start, grid.rows.stop) < 128)[:, None] * np.ones((1, 512))
     solution = solution_of(pressure, pressure, 0.25)
     problem = under_hard_wall(grid, heights)

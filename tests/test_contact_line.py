@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from conftest import SIZE
-from contacts import elastic, under_hard_wall
+from contacts import elastic, rough_on, under_hard_wall
 from mpi4py import MPI
 
 from pgfmd.grid.slab_grid import SlabGrid
@@ -16,7 +16,6 @@ from pgfmd.observables.patch_table import label_patches
 from pgfmd.observables.rough_surface import RoughSurface
 from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
 from pgfmd.surfaces.rigid_surface import coordinates
-from pgfmd.surfaces.self_affine import self_affine
 from pgfmd.theory import lattice_edge as theory
 from pgfmd.theory.exact import Westergaard
 
@@ -263,8 +262,7 @@ def test_pressures_and_gaps_that_vanish():
 def test_no_line_where_roughness_goes_down_to_the_pixel(comm, hurst, wavelength, resolved):
     """The spectrum tells whether the grid resolves a surface, of which nothing else is known: from three points to its
     shortest wave on there is a line.  On a slab much thinner than a pixel there always is."""
-    grid = SlabGrid(comm, (64, 64))
-    heights = self_affine(grid, hurst, wavelength, 0.1, 3)
+    grid, heights = rough_on(comm, (64, 64), hurst, wavelength, 0.1, 3)
     for thickness, expected in ((math.inf, resolved), (0.1, True)):
         problem = under_hard_wall(grid, heights, 0.01, elastic(1.0, thickness))
         contact = Contact.of(RoughSurface(problem), solve_hard_wall(problem, 1e-6))

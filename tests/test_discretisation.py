@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 import pytest
 from conftest import SIZE, broad
-from contacts import elastic, under_hard_wall
+from contacts import elastic, rough_on, under_hard_wall
 from job_texts import rough_job
 from mpi4py import MPI
 
@@ -98,8 +98,7 @@ def test_residual_tells_the_error_of_the_mean_gap(comm, thickness):
     middle; |r| itself is more than four times as large."""
     ratios, sizes = [], []
     for seed in range(8):
-        grid = SlabGrid(comm, (96, 96))
-        heights = self_affine(grid, 0.6, 8, 0.1, seed)
+        grid, heights = rough_on(comm, (96, 96), 0.6, 8, 0.1, seed)
         problem = under_hard_wall(grid, heights, 0.01, elastic(1.0, thickness, "bonded", 0.3))
         loose, tight = (solve_hard_wall(problem, tolerance) for tolerance in (1e-5, 1e-13))
         surface = RoughSurface(problem)

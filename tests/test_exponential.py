@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from conftest import SIZE
-from contacts import elastic, under_hard_wall
+from contacts import elastic, rough_on, under_hard_wall
 from reference import Contact, Solid
 
 from pgfmd.errors import InputError, SolverError, Uncertifiable
@@ -180,8 +180,7 @@ def test_an_accuracy_beyond_rounding_is_an_error(rough):
 
 def test_few_transforms_are_enough(comm):
     """The paper's figure 8, smaller (512², same λ_l/λ_s): at most 60 transform pairs to 1e-6 in the pressure."""
-    grid = SlabGrid(comm, (512, 512))
-    heights = self_affine(grid, 0.3, 16.0, 0.031, 1)
+    grid, heights = rough_on(comm, (512, 512), 0.3, 16.0, 0.031, 1)
     for zeta in (0.25, 1.0):
         exact = solve(grid, heights, 0.004, zeta, tolerance=1e-15)
         found = solve(grid, heights, 0.004, zeta, tolerance=1e-12)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from conftest import apart, broad
-from contacts import elastic
+from contacts import elastic, rough_on
 from job_texts import rough_job
 from reference import Contact, Real
 
@@ -22,7 +22,6 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.load_control import LoadControl
 from pgfmd.solvers.options import Load, Solver
-from pgfmd.surfaces.self_affine import self_affine
 
 pytestmark = pytest.mark.mpi
 
@@ -39,8 +38,7 @@ def solved(grid, heights, law, load, tolerance=1e-12, method="auto"):
 def test_the_exponential_wall_as_a_formula(comm, zeta):
     """By the same dynamics the same pressure and gap to 1e-10, as both find the law's points to the last digits; an
     error that is certified no smaller, and at most 2.2 times as large (twice the excess, where the law is straight)."""
-    grid = SlabGrid(comm, (96, 80))
-    heights = self_affine(grid, 0.8, 8.0, 0.1, 2)
+    grid, heights = rough_on(comm, (96, 80), 0.8, 8.0, 0.1, 2)
     law = FormulaWall(pressure=f"0.7 * exp(-gap / {zeta})", gaps=(-30 * zeta, 300 * zeta))
     ours = solved(grid, heights, law, 0.02, method="gfmd")
     known = solved(grid, heights, ExponentialWall(zeta=zeta, sigma_ref=0.7), 0.02, method="gfmd")
@@ -54,8 +52,7 @@ def test_the_exponential_wall_as_a_formula(comm, zeta):
 def test_newton_is_that_of_the_exponential_wall(comm):
     """Given as a formula, an exponential wall has the pressure of the built-in one, to the 1e-8 that a tolerance of
     1e-17 leaves, in at most as many iterations and a tenth more (steps are shortened by another rule)."""
-    grid = SlabGrid(comm, (96, 80))
-    heights = self_affine(grid, 0.8, 8.0, 0.1, 2)
+    grid, heights = rough_on(comm, (96, 80), 0.8, 8.0, 0.1, 2)
     law = FormulaWall(pressure="0.7 * exp(-gap / 0.3)", gaps=(-9.0, 90.0))
     ours = solved(grid, heights, law, 0.02, 1e-17, "newton")
     known = solved(grid, heights, ExponentialWall(zeta=0.3, sigma_ref=0.7), 0.02, 1e-17, "newton")
@@ -72,8 +69,7 @@ STIFF = [
 @pytest.mark.parametrize("text", STIFF)
 def test_newton_agrees_with_dynamics(comm, text):
     """Power laws, springs and a saturating law: the pressure of dynamics to 1e-5, with at most half the transforms."""
-    grid = SlabGrid(comm, (64, 64))
-    heights = self_affine(grid, 0.8, 8.0, 0.1, 2)
+    grid, heights = rough_on(comm, (64, 64), 0.8, 8.0, 0.1, 2)
     law = FormulaWall(pressure=text, gaps=(0.01, 60.0) if "/ gap" in text else (-2.0, 30.0))
     before = grid.transforms
     ours = solved(grid, heights, law, 0.02, method="newton")
@@ -144,8 +140,7 @@ def test_random_contacts_by_brute_force(comm, law):
 def test_its_ends(comm):
     """Closer than the first of `gaps` is a hard wall, beyond the second is nothing: p ≥ P(first) at the first, ≤
     P(second) at the second, 0 beyond, and P in between, gaps to 1e-6 of the rms height (pressures are to 1e-6)."""
-    grid = SlabGrid(comm, (64, 64))
-    heights = self_affine(grid, 0.8, 8.0, 0.1, 4)
+    grid, heights = rough_on(comm, (64, 64), 0.8, 8.0, 0.1, 4)
     law = FormulaWall(pressure="0.05 - 0.02 * gap", gaps=(0.5, 1.5))
     found = solved(grid, heights, law, 0.03, 1e-16)
     p, g, small = found.pressure, found.gap, 1e-6 * math.sqrt(grid.reduction.sum(heights**2) / grid.size)
@@ -158,8 +153,7 @@ def test_its_ends(comm):
 
 def test_a_wall_that_is_weak_before_it_closes_is_hard(comm):
     """With P ≤ 1e-9 p̄ before the gap is 0, pressures are those of the hard wall, to the 1e-5 of dynamics."""
-    grid = SlabGrid(comm, (64, 64))
-    heights = self_affine(grid, 0.8, 8.0, 0.1, 4)
+    grid, heights = rough_on(comm, (64, 64), 0.8, 8.0, 0.1, 4)
     ours = solved(grid, heights, FormulaWall(pressure="1e-11 * (1 - gap)", gaps=(0, 1)), 0.01)
     hard = solved(grid, heights, HardWall(), 0.01)
     assert apart(grid, ours, hard) < 1e-5
@@ -168,8 +162,7 @@ def test_a_wall_that_is_weak_before_it_closes_is_hard(comm):
 
 def test_loads_and_gaps_of_a_formula(comm):
     """A mean gap and a displacement are met, to the tolerance asked for."""
-    grid = SlabGrid(comm, (32, 32))
-    heights = self_affine(grid, 0.8, 8.0, 0.1, 1)
+    grid, heights = rough_on(comm, (32, 32), 0.8, 8.0, 0.1, 1)
     law = FormulaWall(pressure="0.1 * (0.5 / gap)**9", gaps=(0.05, 20))
     found = solved(grid, heights, law, 0.05, 1e-10)
     problem = ContactProblem(grid, heights, elastic(1.0), law)
@@ -208,8 +201,7 @@ def test_the_range_is_that_at_a_pressure(text):
 def test_gaps_beyond_its_ends_are_refused(comm, control, high):
     """Between its smallest gap, where contact is full, and first touch at its largest, where the formula becomes 0;
     with `--all` a tenth below that one, where Newton's method takes hundreds of steps."""
-    grid = SlabGrid(comm, (16, 16))
-    heights = self_affine(grid, 0.8, 8.0, 0.1, 1)
+    grid, heights = rough_on(comm, (16, 16), 0.8, 8.0, 0.1, 1)
     summit = grid.reduction.max(heights) - grid.reduction.sum(heights) / grid.size
     law = FormulaWall(pressure="0.05 * (9 - gap) if gap < 9 else 0", gaps=(2, 20))
     problem = ContactProblem(grid, heights, elastic(1.0), law)

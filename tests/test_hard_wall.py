@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from conftest import broad, whole
-from contacts import elastic, under_hard_wall
+from contacts import elastic, rough_on, under_hard_wall
 from mpi4py import MPI
 
 from pgfmd import solve, surface
@@ -107,8 +107,7 @@ def test_periodic_hertz(comm):
 
 def test_full_contact_is_exact(comm):
     """Above the largest tension, p = p̄ + F⁻¹[(E'q/2) h̃], to 1e-10.  Just below it there is a gap, and a certificate."""
-    grid = SlabGrid(comm, (96, 80))
-    heights = self_affine(grid, 0.8, 8.0, 0.031, 1)
+    grid, heights = rough_on(comm, (96, 80), 0.8, 8.0, 0.031, 1)
     response = grid.backward(grid.forward(heights) * MODULUS / 2 * np.sqrt(grid.q_squared()))
     mean = -1.01 * grid.reduction.min(response)
     found = solve_hard_wall(under_hard_wall(grid, heights, mean, elastic(MODULUS)), 1e-6)
@@ -161,8 +160,7 @@ def test_certificate_is_a_sharp_bound(comm, lambda_s, load):
     """J(p) − J(p*) ≤ the certificate ≤ 2.5 times that (measured at most 1.5 here, 2.0 at 256²), from single pixels to
     nearly full contact, with p* certified to 1e-20; the pressure error is estimated within a factor: between .05 and 2
     of it is true.  Loads in units of the stress of full contact."""
-    grid = SlabGrid(comm, (96, 80))
-    heights = self_affine(grid, 0.5, lambda_s, 0.031, 1)
+    grid, heights = rough_on(comm, (96, 80), 0.5, lambda_s, 0.031, 1)
     q = np.sqrt(grid.q_squared())
     stress = grid.backward(grid.forward(heights) * MODULUS / 2 * q)
     load *= np.sqrt(grid.reduction.sum(stress**2) / grid.size)
@@ -231,8 +229,7 @@ def test_work_does_not_grow_with_the_grid(comm):
     """Rough down to the pixel, four times as many points a side: no more than a quarter more transforms per point."""
     counts = []
     for n in (512, 2048):
-        grid = SlabGrid(comm, (n, n))
-        heights = self_affine(grid, 0.3, 1.0, 0.031, 1)
+        grid, heights = rough_on(comm, (n, n), 0.3, 1.0, 0.031, 1)
         counts.append(solve_hard_wall(under_hard_wall(grid, heights, 0.0044, elastic(2.0)), 1e-4).transforms)
     assert counts[1] < 1.25 * counts[0]
 
@@ -263,8 +260,7 @@ def test_energy_follows_the_gap(comm, rough):
 def test_pressures_or_gaps_as_unknowns(comm, monkeypatch, lambda_s):
     """Half in contact, solved for the pressures of these points or for the gaps of the others: the same answer.  The
     mean gap errs by the square root of the energy error, here 1e-10."""
-    grid = SlabGrid(comm, (96, 80))
-    heights = self_affine(grid, 0.5, lambda_s, 0.031, 1)
+    grid, heights = rough_on(comm, (96, 80), 0.5, lambda_s, 0.031, 1)
     found = []
     for mostly in (0.0, 2.0):
         monkeypatch.setattr(contact_from_coarse, "GAPS_FROM", mostly)
@@ -326,8 +322,7 @@ def test_heights_are_kept_unless_given_away(comm, rough):
 def test_one_step_sees_how_the_set_of_unknowns_changes(comm, seed):
     """One step with the mesh's response divides ⟨r, Mr⟩ by 1000, of the 10⁴ asked for.  A linear solve that divides the
     residual by 7 could do no better than 49, since the set of unknowns is that of another load."""
-    grid = SlabGrid(comm, (256, 256))
-    heights = self_affine(grid, 0.8, 8.0, 0.031, seed)
+    grid, heights = rough_on(comm, (256, 256), 0.8, 8.0, 0.031, seed)
     start, problem = (under_hard_wall(grid, heights, p, elastic(MODULUS)) for p in (0.004, 0.0044))
     found = solve_hard_wall(start, 1e-12)
     state, solver = State(1.1 * found.pressure, found.gap.copy()), PressureSteps(problem)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from conftest import whole
-from contacts import elastic
+from contacts import elastic, rough_on
 from job_texts import rough_job
 from reference import Contact, Real, Solid, Unable
 
@@ -90,8 +90,7 @@ def test_random_contacts_by_brute_force(comm, batch):
 @pytest.mark.parametrize("load", [0.002, 0.02])
 def test_a_hardness_that_is_not_reached_is_a_hard_wall(comm, load):
     """σ_Y above the largest pressure changes nothing, to 1e-9 of that (both are certified to 1e-20)."""
-    grid = SlabGrid(comm, (96, 80))
-    heights = self_affine(grid, 0.8, 4.0, 0.031, 3)
+    grid, heights = rough_on(comm, (96, 80), 0.8, 4.0, 0.031, 3)
     hard = solved(grid, heights, load, math.inf)
     highest = grid.reduction.max(hard.pressure)
     soft = solved(grid, heights, load, 1.01 * highest)
@@ -135,8 +134,7 @@ def test_rough_surfaces(comm, load, hardness):
     """On 256² with coarse grids, and most points at a bound or few of them: p is between its bounds and carries the
     load; u − h is constant in between, larger where p = 0, smaller where p = σ_Y, as transforms written here again say;
     the certificate is met."""
-    grid = SlabGrid(comm, (256, 256))
-    heights = self_affine(grid, 0.8, 4.0, 0.031, 2)
+    grid, heights = rough_on(comm, (256, 256), 0.8, 4.0, 0.031, 2)
     found = solved(grid, heights, load, hardness, 1e-16)
     p = found.pressure
     assert found.certified_error <= 1e-16
@@ -174,8 +172,7 @@ def test_what_overlaps_bears_the_hardness_to_the_last_digit(comm, seed, method):
 
 def test_more_than_the_hardness_is_refused(comm):
     """A mean pressure of σ_Y or more has no solution."""
-    grid = SlabGrid(comm, (16, 16))
-    heights = self_affine(grid, 0.8, 4.0, 0.031, 3)
+    grid, heights = rough_on(comm, (16, 16), 0.8, 4.0, 0.031, 3)
     for load in (0.1, 0.2):
         with pytest.raises(InputError, match="0.1"):
             solved(grid, heights, load, 0.1)
@@ -184,8 +181,7 @@ def test_more_than_the_hardness_is_refused(comm):
 @pytest.mark.parametrize("seed", range(4))
 def test_imposed_gaps_are_met_to_their_bound(comm, seed):
     """The mean gap of a loose solution differs from that of a tight one at the same load by no more than its bound."""
-    grid = SlabGrid(comm, (32, 32))
-    heights = self_affine(grid, 0.8, 4.0, 0.1, seed)
+    grid, heights = rough_on(comm, (32, 32), 0.8, 4.0, 0.1, seed)
     load = 0.01 * 3**seed
     problem = ContactProblem(grid, heights, elastic(1.0), Hardness(hardness=3 * load), load)
     control = MeanGap(problem, Load(mean_gap=(1.0,), gap_tolerance=1e-6))

@@ -6,7 +6,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from contacts import elastic, solution_of, under_hard_wall
+from contacts import elastic, rough_on, solution_of, under_hard_wall
 from mpi4py import MPI
 from whole_fields import rowblocks
 
@@ -142,8 +142,7 @@ def sum_rule_residuals(grid, pressure):
 def test_sum_rules(comm, n):
     """The exact sum rules of stress and contact spectra to 1e-10: N roundings of 1e-16 add up.  They hold for any
     field, here a rough one that is cut off at zero, with f_c near 0.08."""
-    grid = SlabGrid(comm, (n, n))
-    heights = self_affine(grid, 0.3, 1, 0.031, 3)
+    grid, heights = rough_on(comm, (n, n), 0.3, 1, 0.031, 3)
     height = np.sqrt(grid.reduction.dot(heights, heights) / grid.size)
     pressure = np.maximum(heights - 1.4 * height, 0)
     residuals = sum_rule_residuals(grid, pressure)
@@ -459,8 +458,7 @@ def test_no_patch_has_a_negative_area(comm):
 def test_a_contact_that_cannot_be_had_is_not_given(comm, caplog, failure):
     """If a further contact cannot be certified, its number is NaN and the log says why; all others are there, and the
     error bars of the area, which need none."""
-    grid = SlabGrid(comm, (64, 64))
-    heights = self_affine(grid, 0.5, 16, 0.05, 5)
+    grid, heights = rough_on(comm, (64, 64), 0.5, 16, 0.05, 5)
     problem = under_hard_wall(grid, heights, 0.003, elastic(MODULUS))
     waves = 2 * np.pi / np.array([64, 32, 16])
 
@@ -518,8 +516,7 @@ def test_area_of_the_whole_surface(comm):
 
 def test_one_contact_for_all_observables(comm):
     """Under an exponential wall too, area, histogram, patches, spectrum and autocorrelation are of the same points."""
-    grid = SlabGrid(comm, (48, 40))
-    heights = self_affine(grid, 0.5, 4, 0.1, 5)
+    grid, heights = rough_on(comm, (48, 40), 0.5, 4, 0.1, 5)
     problem = ContactProblem(grid, heights, elastic(MODULUS), ExponentialWall(zeta=0.02), 0.01)
     surface = RoughSurface(problem, asked(NAMES[:5], spectra={"all_modes": True}))
     contact = Contact.of(surface, solve_contact(problem))

@@ -3,7 +3,7 @@
 import numpy as np
 import peers
 import pytest
-from contacts import elastic, under_hard_wall
+from contacts import elastic, rough_on, under_hard_wall
 
 import pgfmd
 from pgfmd.grid.slab_grid import SlabGrid
@@ -20,8 +20,7 @@ N, PRESSURE, MODULUS = 256, 0.003, 8 / 3
 @pytest.fixture(scope="module", params=[(0.8, 16.0), (0.3, 1.0)], ids=["smooth", "rough"])
 def contact(request, comm):
     """Heights and our pressure (256, 256): self-affine, certified to 1e-15 of the energy, the pressure's square."""
-    grid = SlabGrid(comm, (N, N))
-    heights = self_affine(grid, *request.param, 0.031, 1)
+    grid, heights = rough_on(comm, (N, N), *request.param, 0.031, 1)
     return heights, solve_hard_wall(under_hard_wall(grid, heights, PRESSURE, elastic(MODULUS)), 1e-15).pressure
 
 
@@ -69,8 +68,7 @@ def test_an_open_patch_by_contact_mechanics(comm):
 def test_limited_hardness_by_contact_mechanics(comm, hurst, lambda_s, hardness):
     """Its constrained conjugate gradients, with their own treatment of points that flow, find the same points at the
     hardness and in contact, and the same pressure to 1e-6 in the 2-norm (measured 1e-8)."""
-    grid = SlabGrid(comm, (64, 64))
-    heights = self_affine(grid, hurst, lambda_s, 0.031, 1)
+    grid, heights = rough_on(comm, (64, 64), hurst, lambda_s, 0.031, 1)
     problem = ContactProblem(grid, heights, elastic(MODULUS), Hardness(hardness=hardness), PRESSURE)
     ours = solve_contact(problem, Solver(tolerance=1e-16)).pressure
     theirs = _theirs("ContactMechanics", heights, hardness=hardness)

@@ -6,7 +6,7 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 from conftest import whole
-from contacts import elastic, under_hard_wall
+from contacts import elastic, rough_on, under_hard_wall
 from reference import Contact, Solid
 
 import pgfmd
@@ -204,8 +204,7 @@ def test_a_solver_that_fails_gives_its_memory_back(comm, monkeypatch):
 
     monkeypatch.setattr(transpose.Strips, "_allocate", counted)
     monkeypatch.setattr(transpose.Strips, "free", freed)
-    grid = SlabGrid(comm, (256, 256))
-    heights = self_affine(grid, 0.8, 8.0, 0.1, 1)
+    grid, heights = rough_on(comm, (256, 256), 0.8, 8.0, 0.1, 1)
 
     def fail(level, state):
         if level.shape[0] == failing:
