@@ -20,31 +20,29 @@ def polonsky_keer(problem, monitor) -> None:
     compliance = problem.solid.apply_compliance(grid, np.float64, 1 / grid.size)
 
     load = mean_pressure * grid.size
-    p = np.full(grid.local_shape, mean_pressure)
-    direction, gap, response = np.zeros_like(p), np.empty_like(p), np.empty_like(p)
+    pressure, direction = np.full(grid.local_shape, mean_pressure), np.zeros(grid.local_shape)
+    gap, response = np.empty_like(direction), np.empty_like(direction)
+    p, g, d, r = (field.reshape(-1) for field in (pressure, gap, direction, response))  # the same memory
     old, conjugate = 1.0, False
     while True:
-        grid.convolve(source(p), compliance, sink(gap))
+        grid.convolve(source(pressure), compliance, sink(gap))
         gap -= heights
-        gap -= _mean_in_contact(p, gap)
-        squared = _turn(p, gap, direction, conjugate, old)
-        old = squared
+        g -= _mean_in_contact(p, g)
+        old = _turn(p, g, d, conjugate, old)
         grid.convolve(source(direction), compliance, sink(response))
-        step = _step(p, gap, direction, response, _mean_in_contact(p, response))
-        total, conjugate = _move(p, gap, direction, step)
+        total, conjugate = _move(p, g, d, _step(p, g, d, r, _mean_in_contact(p, r)))
         p *= load / total
-        monitor(p, grid.transforms)
+        monitor(pressure, grid.transforms)
 
 
 @_jit
 def _mean_in_contact(p, field):
     """field[p > 0].mean()"""
     total, count = 0.0, 0
-    for i in range(p.shape[0]):
-        for j in range(p.shape[1]):
-            inside = p[i, j] > 0
-            total += field[i, j] if inside else 0.0
-            count += inside
+    for i in range(p.size):
+        inside = p[i] > 0
+        total += field[i] if inside else 0.0
+        count += inside
     return total / count
 
 
@@ -52,13 +50,11 @@ def _mean_in_contact(p, field):
 def _turn(p, gap, direction, conjugate, old):
     """direction = (gap + β direction) in contact, with β = Σ gap²/old (0 after the set has changed); returns Σ gap²"""
     squared = 0.0
-    for i in range(p.shape[0]):
-        for j in range(p.shape[1]):
-            squared += gap[i, j] ** 2 if p[i, j] > 0 else 0.0
+    for i in range(p.size):
+        squared += gap[i] ** 2 if p[i] > 0 else 0.0
     factor = squared / old if conjugate else 0.0
-    for i in range(p.shape[0]):
-        for j in range(p.shape[1]):
-            direction[i, j] = gap[i, j] + factor * direction[i, j] if p[i, j] > 0 else 0.0
+    for i in range(p.size):
+        direction[i] = gap[i] + factor * direction[i] if p[i] > 0 else 0.0
     return squared
 
 
@@ -66,11 +62,10 @@ def _turn(p, gap, direction, conjugate, old):
 def _step(p, gap, direction, response, mean):
     """Σ gap·direction / Σ (response − mean)·direction, over contact"""
     above = below = 0.0
-    for i in range(p.shape[0]):
-        for j in range(p.shape[1]):
-            if p[i, j] > 0:
-                above += gap[i, j] * direction[i, j]
-                below += (response[i, j] - mean) * direction[i, j]
+    for i in range(p.size):
+        if p[i] > 0:
+            above += gap[i] * direction[i]
+            below += (response[i] - mean) * direction[i]
     return above / below
 
 
@@ -79,11 +74,10 @@ def _move(p, gap, direction, step):
     """p = (p − step·direction)₊, or −step·gap where that is 0 and the gap negative; returns Σp, and whether there was
     no such point."""
     total, same = 0.0, True
-    for i in range(p.shape[0]):
-        for j in range(p.shape[1]):
-            value = max(p[i, j] - step * direction[i, j], 0.0)
-            if value == 0.0 and gap[i, j] < 0:
-                value, same = -step * gap[i, j], False
-            p[i, j] = value
-            total += value
+    for i in range(p.size):
+        value = max(p[i] - step * direction[i], 0.0)
+        if value == 0.0 and gap[i] < 0:
+            value, same = -step * gap[i], False
+        p[i] = value
+        total += value
     return total, same
