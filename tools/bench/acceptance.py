@@ -76,7 +76,7 @@ def check(folder: Path, ranks: int, rows: int) -> None:
     found["errors"] |= errors | {"patches differ": float(not same), "damaged files": float(len(info.damage(run)))}  # type: ignore[operator]
     found["nodes"] = sorted(Counter(hosts).values(), reverse=True)  # type: ignore[arg-type]
     found["machine"] = {
-        "commit": machine.git_commit(), "MPI": library(), "processor": _processor(), "time": machine.now(),
+        "commit": machine.git_commit(), "MPI": library(), "processor": processor(), "time": machine.now(),
         "threads": os.environ.get("OMP_NUM_THREADS", ""), "versions": machine.versions().replace("\n", ", "),
     }  # fmt: skip
     with open(folder / "checks.jsonl", "a") as file:
@@ -163,7 +163,8 @@ def _list(checks: list[dict]) -> str:
     return ", ".join(str(line["ranks"]) for line in checks)
 
 
-def _processor() -> str:
+def processor() -> str:
+    """Its model, and how many threads it has."""
     with open("/proc/cpuinfo") as file:
         names = [line.partition(":")[2].strip() for line in file if line.startswith("model name")]
     return f"{names[0] if names else platform.machine()}, {os.cpu_count()} hardware threads"

@@ -17,17 +17,19 @@ core, `report --clock cpu` says more.
 """
 
 import argparse
+import contextlib
 import dataclasses
 import importlib.util
 import itertools
 import json
-import os
 import platform
 import subprocess
 import sys
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import csv_rows
+from acceptance import processor
 from benchmarks import cores, counts, ratios, resolution, total_error, transforms
 from benchmarks.case import Case, launch
 from benchmarks.methods import PEERS
@@ -204,22 +206,11 @@ def _done(folder: Path) -> set[tuple]:
 
 
 def describe_machine() -> str:
-    """One line: processor, cores, system, Python and the versions of all that is compared."""
-    from importlib.metadata import PackageNotFoundError, version
-
-    model = platform.processor() or platform.machine()
-    info = Path("/proc/cpuinfo")
-    if info.exists():
-        names = [
-            line.split(":", 1)[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")
-        ]
-        model = names[0] if names else model
-    parts = [f"{model}, {len(os.sched_getaffinity(0))} cores, {platform.system()}, Python {platform.python_version()}"]
+    """One line: processor, system, Python and the versions of all that is compared."""
+    parts = [f"{processor()}, {platform.system()}, Python {platform.python_version()}"]
     for name in ("pgfmd", "numpy", "numba", "pyfftw", "aspher", "tamaas", "ContactMechanics", "mkl_fft"):
-        try:
+        with contextlib.suppress(PackageNotFoundError):
             parts.append(f"{name} {version(name)}")
-        except PackageNotFoundError:
-            continue
     return "; ".join(parts)
 
 
