@@ -22,7 +22,6 @@ from pgfmd.application.field_files import FieldFiles
 from pgfmd.application.info import damage, summary
 from pgfmd.application.machine import Origin
 from pgfmd.application.results import Results
-from pgfmd.application.tables import ObservablesFile
 from pgfmd.errors import InputError
 from pgfmd.observables import schema
 from pgfmd.observables.observable_kinds import LAYOUT
@@ -294,7 +293,7 @@ def test_failure_keeps_completed_loads(comm, shared_tmp_path, transport, monkeyp
 
 @pytest.mark.parametrize(("kind", "step"), [
     (files.Sums, "forget"), (files, "reserve"), (files, "commit"), (FieldFiles, "write_views"),
-    (ObservablesFile, "change"), (files.Sums, "note"),
+    (files, "revise"), (files.Sums, "note"),
 ])  # fmt: skip
 def test_a_folder_lost_at_any_step_is_named(comm, shared_tmp_path, monkeypatch, kind, step):
     """Moved away before any step of a load: an OSError on all ranks names it; nothing is made where it was."""

@@ -3,7 +3,6 @@
 import logging
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -95,7 +94,6 @@ def _run_seeds(
 ) -> tuple[Failures, Stopped | NoProgress | None]:
     """Run the seeds, in groups of ranks; returns which failed, and why the run was stopped, if it was.  Collective."""
     failed: Failures = {}
-    synced: dict[int, Future[None]] = {}
     seeds = job.surface.seeds
     stopped: Stopped | NoProgress | None = None
     own = comm.rank * groups // comm.size  # the number of this rank's group
@@ -103,7 +101,6 @@ def _run_seeds(
     with (
         _quiet(group),
         Interruptions(group, path, job.run.checkpoint_interval, job.run.time_limit) as interruptions,
-        ThreadPoolExecutor(1) as disk,  # syncs a folder while the next surface is solved
     ):
         comm.Barrier()  # a stop file that appears from here on is for this run
         for position in range(own, len(seeds), groups):
@@ -117,8 +114,6 @@ def _run_seeds(
                 anew = mode == "overwrite" or there == "stale"
                 goes_on = mode == "restart" and not anew
                 simulate(member, group, folder, overwrite=anew, restart=goes_on, interruptions=interruptions)
-                if group.rank == 0:
-                    synced[seed] = disk.submit(files.sync_files, folder)
                 progress.info("seed %d (%d of %d)  %.2f s", seed, position + 1, len(seeds),
                               time.perf_counter() - began)  # fmt: skip
             except (Stopped, NoProgress) as interruption:
@@ -134,9 +129,6 @@ def _run_seeds(
                 failed[seed] = error.with_traceback(None)  # a traceback would keep the arrays of its frames
                 progress.warning("seed %d (%d of %d) failed: %s", seed, position + 1, len(seeds),
                                  reason(error))  # fmt: skip
-    for seed, each in synced.items():
-        if isinstance(fault := each.exception(), Exception):
-            failed[seed] = fault
     outcomes = comm.allgather((failed, stopped))
     if comm.rank == 0:
         interruptions.batch_stop_file.unlink(missing_ok=True)

@@ -95,13 +95,6 @@ def commit(path: Path, sync: bool = True) -> None:
         _sync(path.parent)
 
 
-def sync_files(folder: Path) -> None:
-    """Sync the files of a folder, and the folder, to the disk.  Raises OSError."""
-    for path in (*folder.glob("*.h5"), folder):
-        with named(path):
-            _sync(path)
-
-
 def replace(path: Path, content: bytes | memoryview, sync: bool = True) -> None:
     """Replace a small file as a whole.  Raises OSError; the old file stays then."""
     try:
@@ -117,12 +110,12 @@ Change = Callable[[h5py.File], None]
 """Adds to or changes an open file."""
 
 
-def revise(path: Path, change: Change, sync: bool = True) -> None:
+def revise(path: Path, change: Change) -> None:
     """Let `change` modify a small HDF5 file.  Raises OSError, also if the file is gone; the old file stays then."""
-    create(path, change, path.read_bytes(), sync)
+    create(path, change, path.read_bytes())
 
 
-def create(path: Path, fill: Change, begun: bytes = b"", sync: bool = True) -> None:
+def create(path: Path, fill: Change, begun: bytes = b"") -> None:
     """Let `fill` write a small HDF5 file, in the place of one that is there.  Raises OSError.
 
     begun: bytes of the file that `fill` changes, if any.  All in memory, as HDF5 crashes when a disk is full.
@@ -130,7 +123,7 @@ def create(path: Path, fill: Change, begun: bytes = b"", sync: bool = True) -> N
     content = io.BytesIO(begun)
     with h5py.File(content, "r+" if begun else "w", libver=LIBVER) as file:
         fill(file)
-    replace(path, content.getbuffer(), sync)
+    replace(path, content.getbuffer())
 
 
 class Sums:

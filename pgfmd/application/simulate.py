@@ -40,7 +40,6 @@ from pgfmd.surfaces.file import digest
 from pgfmd.surfaces.rigid_surface import refined_heights
 
 log = logging.getLogger("pgfmd")
-HELD_BACK = 5.0  # seconds for which a seed of an ensemble may hold back finished loads, to write them together
 
 
 def run_job(
@@ -84,7 +83,7 @@ def simulate(
     form = Form(grid.shape, grid.lengths, grid.rows, output.precision, *units, layout, job.run.io_hints)
     with (
         LogFile(comm.rank) as log_file,
-        ResultWriter(comm, directory, origin, form, mode, 0.0 if alone else HELD_BACK) as writer,
+        ResultWriter(comm, directory, origin, form, mode) as writer,
         nullcontext(interruptions) if interruptions else Interruptions(comm, directory, *limits) as asked,
         grid.freed(),
         ExitStack() as at_end,

@@ -1,56 +1,16 @@
 """observables.h5: one row per load, and a group of curves and tables for each; names of axes, for xarray.  No MPI.
 
 Of groups of `LARGE_TABLE` bytes or more it holds a link to a file beside the fields.
-
-Columns are read and written by h5py's low-level API: selections take three times as long, which counts in small runs.
 """
 
-import io
-import time
 from collections.abc import Mapping, Sequence
-from functools import cache
-from pathlib import Path
 
 import h5py
 import numpy as np
 
 from pgfmd.application import files
-from pgfmd.application.files import LIBVER, MISSING, OBSERVABLES_FILE, Change, Form, create, load_name, revise
-from pgfmd.observables.schema import LOADS, TABLE, Dataset, Groups
-
-
-class ObservablesFile:
-    """The file of one run, replaced as a whole at each change.
-
-    patience: seconds for which changes are gathered, to be made together; if not 0, the caller must sync the file.
-    """
-
-    def __init__(self, directory: Path, form: Form, patience: float) -> None:
-        self.path, self.form, self.patience = directory / OBSERVABLES_FILE, form, patience
-        self._changes: list[Change] = []
-        self._begun = False  # whether this run has written the file
-        self._last_change = time.monotonic()
-
-    def change(self, change: Change, now: bool = False) -> None:
-        """Add a change; make all gathered changes if `now`, or if the last ones are longer ago than `patience`."""
-        self._changes.append(change)
-        if now or time.monotonic() - self._last_change >= self.patience:
-            changes, self._changes = self._changes, []
-
-            def apply(file: h5py.File) -> None:
-                for each in changes:
-                    each(file)
-
-            if self._begun or self.path.exists():  # if the folder of a run was lost, raise
-                revise(self.path, apply, sync=not self.patience)
-            else:
-                create(self.path, apply, _without_loads(*self.form.units.values()), sync=not self.patience)
-            self._begun, self._last_change = True, time.monotonic()
-
-    def replace(self, fill: Change) -> None:
-        """Write the file anew; nothing of an earlier version stays."""
-        create(self.path, fill)
-        self._begun = True
+from pgfmd.application.files import MISSING, Form, load_name
+from pgfmd.observables.schema import LOADS, Dataset, Groups
 
 
 def add_columns(group: h5py.Group, completed: int, wanted: Mapping[str, Dataset], units: Mapping[str, str]) -> None:
@@ -71,14 +31,10 @@ def add_row(group: h5py.Group, index: int, row: Mapping[str, float], form: Form)
     unknown = row.keys() - form.columns.keys()
     if unknown:
         raise ValueError(f"no columns of the table of loads: {', '.join(sorted(unknown))}")
-    one = h5py.h5s.create_simple((1,))
     for name, value in {"load": index, **dict.fromkeys(form.columns), **row}.items():
-        column = h5py.h5d.open(group.id, name.encode())
-        column.set_extent((max(index + 1, column.shape[0]),))
+        group[name].resize(max(index + 1, len(group[name])), axis=0)
         if value is not None:  # else the fill value
-            place = column.get_space()
-            place.select_hyperslab((index,), (1,))
-            column.write(one, place, np.array([value]))
+            group[name][index] = value
 
 
 def add_groups(file: h5py.File, index: int, groups: Groups, form: Form, links: Mapping[str, str]) -> h5py.Group:
@@ -124,23 +80,12 @@ def annotate(dataset: h5py.Dataset, about: Dataset, units: Mapping[str, str]) ->
     dataset.attrs.update(description=about.description, units=about.unit.format(**units))
 
 
-@cache
-def _without_loads(length_unit: str, pressure_unit: str) -> bytes:
-    """The beginning of an observables.h5, kept: making its columns takes as long as solving 256² points."""
-    content = io.BytesIO()
-    with h5py.File(content, "w", libver=LIBVER) as file:
-        add_columns(file.create_group(TABLE), 0, LOADS, {"length": length_unit, "pressure": pressure_unit})
-    return content.getvalue()
-
-
 def read_columns(group: h5py.Group) -> dict[str, np.ndarray]:
     """The columns of a table of loads: those of `LOADS`, then others by name.  Missing ones are NaN, integers too."""
     columns = {}
     for name in (*LOADS, *sorted(set(group) - LOADS.keys() - {"load"})):
-        if group.id.links.exists(name.encode()):
-            column = h5py.h5d.open(group.id, name.encode())
-            values = np.empty(column.shape, column.dtype)
-            column.read(h5py.h5s.ALL, h5py.h5s.ALL, values)
+        if name in group:
+            values = group[name][()]
             missing = values == MISSING
             columns[name] = np.where(missing, np.nan, values) if values.dtype.kind == "i" and missing.any() else values
     return columns

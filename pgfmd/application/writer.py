@@ -28,7 +28,6 @@ from pgfmd.application.field_files import FieldFiles
 from pgfmd.application.files import SMALL, Change, Form, OutputFolder, Sums, load_name
 from pgfmd.application.machine import Origin
 from pgfmd.application.restart import EarlierResults
-from pgfmd.application.tables import ObservablesFile
 from pgfmd.errors import InputError, Stopped
 from pgfmd.observables.schema import TABLE, Groups
 from pgfmd.options.text import reason
@@ -45,7 +44,6 @@ class ResultWriter:
 
     directory : made if missing; origin : of the provenance; form : layout of the files
     mode : "overwrite" replaces results that are there, "restart" continues them; "new" refuses them
-    patience : as of `ObservablesFile`, for runs so short that writing after each load would take most of their time
 
     The constructor checks and locks the folder, and writes nothing.  It raises InputError on all ranks if the folder
     cannot be written, is in use, or holds results or files that must not be replaced.
@@ -55,14 +53,8 @@ class ResultWriter:
     """
 
     def __init__(
-        self,
-        comm: MPI.Comm,
-        directory: str | os.PathLike,
-        origin: Origin,
-        form: Form,
-        mode: Mode = "new",
-        patience: float = 0.0,
-    ):
+        self, comm: MPI.Comm, directory: str | os.PathLike, origin: Origin, form: Form, mode: Mode = "new"
+    ) -> None:
         self.comm, self.directory, self.origin, self.form, self._mode = comm, Path(directory), origin, form, mode
         self._begun = False
         self._lock: OutputFolder | None = None
@@ -70,7 +62,7 @@ class ResultWriter:
         self.completed = self.earlier.completed
         self._written = self.earlier.fields.keys() - self.earlier.damaged  # loads whose files are undamaged
         self._provenance = cache(self._gather)
-        self._observables = ObservablesFile(self.directory, form, patience)
+        self._observables = self.directory / files.OBSERVABLES_FILE
         self._fields = FieldFiles(comm, self.directory, self.earlier.folder, form, self._provenance)
         self._fields.links.update(self.earlier.links())
         self.fields_folder = self.directory / self.earlier.folder
@@ -123,7 +115,8 @@ class ResultWriter:
             with self._changing(*[] if self.replacing else SMALL):
                 from_root(self.comm, self._remove_leftovers)
                 if not self.replacing:
-                    from_root(self.comm, self._observables.change, self._describe)
+                    write = files.create if self.earlier.job is None else files.revise
+                    from_root(self.comm, write, self._observables, self._describe)
             self._begun = True
 
     @contextmanager
@@ -172,7 +165,7 @@ class ResultWriter:
             from_root(self.comm, write_large)
             if fields:
                 self._fields.write(name, fields, show=not self.replacing)
-            from_root(self.comm, self._replace if self.replacing else self._observables.change, add)
+            from_root(self.comm, self._replace if self.replacing else self._revise, add)
             if index < self.completed:  # solved again: what was large may be small
                 from_root(self.comm, self._fields.remove_tables, name, own_files.values())
         self.replacing = False
@@ -188,7 +181,7 @@ class ResultWriter:
             file.require_group("phases").attrs.update({name: float(value) for name, value in (phases or {}).items()})
 
         with self._changing(files.OBSERVABLES_FILE):
-            from_root(self.comm, self._observables.change, mark, True)
+            from_root(self.comm, self._revise, mark)
 
     def __enter__(self) -> ResultWriter:
         return self
@@ -214,7 +207,7 @@ class ResultWriter:
         status = "stopped" if isinstance(error, Stopped) else "failed"
         message = reason(error)[:1000]
         self._sums.forget(files.OBSERVABLES_FILE)
-        self._observables.change(lambda file: file.attrs.update(status=status, error=message), now=True)
+        self._revise(lambda file: file.attrs.update(status=status, error=message))
         self._sums.note(*SMALL)
 
     def _remove_leftovers(self) -> None:
@@ -226,6 +219,9 @@ class ResultWriter:
             self._fields.remove_replaced()
             self._fields.write_views()
 
+    def _revise(self, change: Change) -> None:
+        files.revise(self._observables, change)
+
     def _replace(self, change: Change) -> None:
         """Replace the old results by those of this run, to which `change` adds the first load."""
 
@@ -234,7 +230,7 @@ class ResultWriter:
             change(file)
 
         self._fields.remove_views()
-        self._observables.replace(fill)
+        files.create(self._observables, fill)
         self._fields.remove_replaced()
         self._fields.write_views()
 
