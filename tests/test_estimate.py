@@ -213,22 +213,6 @@ def test_dynamics_take_longer():
     assert slow > 3 * quick
 
 
-def test_a_small_shared_memory_is_told_of(monkeypatch):
-    """Strips of 4096² take 8 bytes per point: a line says that 64 MB are too small for them on two ranks of one node;
-    not for one rank, which shares with nobody, for half the grid on each of two nodes with one rank, or where the
-    library's transforms send messages anyway."""
-
-    def said(ranks, per_node=None, **solver):
-        tables = {"grid": {"n": 4096}, "surface": {"kind": "sinusoid", "amplitude": 1.0}, "load": {"pressure": 0.1}}
-        large = job.parse(job.tables_as_toml(tables | {"solver": solver, "solid": {"contact_modulus": 1.0}}))
-        return "/dev/shm" in estimate.Plan(large).report(ranks, per_node)
-
-    monkeypatch.setattr(estimate, "shared_memory", lambda: ("/dev/shm", 64e6))
-    assert said(2) and not said(1) and not said(2, 1) and not said(2, transform="mpi4py-fft")
-    monkeypatch.setattr(estimate, "shared_memory", lambda: ("/dev/shm", 4096**2 * 8))
-    assert not said(2)
-
-
 @pytest.mark.parametrize("length", [1e-160, 1e-85, 1.0, 1e150])
 def test_known_heights_scale_with_the_cell(length):
     """The rms height of a self-affine surface, known before the run, is proportional to the cell, at any length."""

@@ -15,7 +15,6 @@ from pgfmd.grid.cell import WORKSPACE
 from pgfmd.grid.grid_cost import ROOM, Cost, largest_shares
 from pgfmd.options.section import in_words
 from pgfmd.options.text import counted, duration, listed, readable
-from pgfmd.parallel.mpi import shared_memory
 from pgfmd.physics.laws.adhesive_laws import AttractiveWall
 from pgfmd.physics.solids.solid import SOFT
 from pgfmd.solvers.options import GAPS_FROM, MODERATE, SINGLE_TO, Arrays
@@ -296,24 +295,10 @@ class Plan:
             f"({readable(BASE_BYTES)} for each rank, of which {readable(LIBRARY_BYTES)} are shared, and "
             f"{self.bytes_per_point():.0f} bytes per grid point)",
             "of a rank": f"up to {readable(total.memory)}, memory shared within a node included" * (ranks > 1),
-            "shared": self.shortage(ranks, here),
             "files": readable(total.files),
             "time": f"about {duration(total.seconds)} on {counted(ranks, 'core')}",
         }
         return listed(lines)
-
-    def shortage(self, ranks: int, here: int) -> str:
-        """A warning if this machine has too little shared memory for the strips of `here` of the ranks, else ""."""
-        job = self.job
-        groups = self.rank_groups(ranks)
-        points = math.prod(job.cell.n) * here / ranks * groups
-        points *= 1 if job.cell.domain.wraps else 2
-        need = WORKSPACE["blocked"] * points * (here > 1 and ranks > groups and job.solver.transform == "blocked")
-        folder, free = shared_memory()
-        return "" if need <= free else (
-            f"{folder} has {readable(free)} of about {readable(need)} that ranks of a node share: they would exchange "
-            "messages instead, which is slower; make it larger (docker run --shm-size)"
-        )  # fmt: skip
 
 
 def explored(job: Job) -> Plan:
