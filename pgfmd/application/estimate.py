@@ -20,6 +20,7 @@ from pgfmd.physics.solids.solid import SOFT
 from pgfmd.solvers.options import GAPS_FROM, MODERATE, SINGLE_TO, Arrays
 from pgfmd.solvers.options import cost as solver_cost
 
+FIELDS = 3.0  # heights, pressure and gap
 PLASTIC_BYTES = 8.0  # per grid point under limited hardness: plastic depth
 BASE_BYTES = 2.1e8  # of a rank before it has a grid: interpreter, MPI, libraries, compiled code (Debian 12, x86-64)
 LIBRARY_BYTES = 1.2e8  # of these, what all ranks of a node share
@@ -47,6 +48,7 @@ SOLUTIONS_WORK, OPEN_GAP_WORK = 2.4, 3.3
 # 2.8 (worst 5.7).  SHORTEST: ℓ that is counted at least.
 STICKS, PAIR, JUMPS, SHORTEST = (30.0, 65.0), 3.0, 4.0, 0.8
 OPEN_WORK = 2.0  # processor time with open boundaries over that of a periodic cell: median of 32 rough surfaces at 512²
+OPEN_MEASURING = 3.0  # the same of what is measured
 OPEN_AREA = 0.45  # assumed with open boundaries where it is not known: between areas that need least memory and most
 TABLE_BYTES = 8.0  # per mode in a quarter of the torus: the compliance
 # Of `explored`: most points along a side, most contacts, most points of a file that it reads.
@@ -95,38 +97,40 @@ class Plan:
         room: bytes that each rank can have, by which an ensemble is divided into groups (`rank_groups`).
         per_node: ranks of the fullest node; None: all.
         """
-        job = self.job
-        points = math.prod(job.cell.n)
+        job, points, loads = self.job, math.prod(self.job.cell.n), len(self.job.load.targets)
         surfaces, groups = max(1, len(job.surface.seeds)), self.rank_groups(ranks, room)
         here = min(per_node or ranks, ranks)
         ranks //= groups  # of one surface, in the smallest group
-        loads = len(job.load.targets)
-        itemsize = 4 if job.output.precision == "float32" else 8
-        field_count = sum(1 if name == "height" else loads for name in job.output.fields)
-        known = self.one_solution or job.imposed.control in ("pressure", "percolation")
-        work_of_search = 1.0 if self.sticks else SEARCH_WORK[job.imposed.control] if known else SOLUTIONS_WORK
-        if job.imposed.control == "mean_gap" and not job.cell.domain.wraps:
-            work_of_search = OPEN_GAP_WORK
-        contacts = loads * work_of_search
-        solving = sum(cost.transforms for cost in self.solving_costs()) / len(self.contact_areas()) * job.solid.effort
-        if job.wall.kind == "hard" and job.solid.softest(job.cell.lengths, job.cell.spacings) < SOFT:
-            solving *= THIN_WORK
-        measuring = BESIDES[0] + sum(cost.transforms for cost in self.measuring_costs())
-        if not job.cell.domain.wraps:
-            solving, measuring = OPEN_WORK * solving, 3 * measuring
-        work = (solving * contacts + measuring * loads + BESIDES[1]) * points * SECONDS_PER_POINT
-        gathered = min(points * itemsize, AGGREGATION_BYTES) if field_count and ranks > 1 else 0
-        rank, node = self._memory(ranks, min(here, ranks), gathered)
+        rank, node = self._memory(ranks, min(here, ranks))
+        fields = sum(1 if name == "height" else loads for name in job.output.fields)
+        seconds = self._work() * points * SECONDS_PER_POINT / gain(ranks) + PER_LOAD * loads
         return Estimate(
             memory=BASE_BYTES + rank,
             node=LIBRARY_BYTES + here * (BASE_BYTES - LIBRARY_BYTES) + -(-here // ranks) * node,
-            files=surfaces * field_count * points * itemsize,
-            seconds=START + -(-surfaces // groups) * (work / gain(ranks) + PER_LOAD * loads),
+            files=surfaces * fields * points * np.dtype(job.output.precision).itemsize,
+            seconds=START + -(-surfaces // groups) * seconds,
         )
 
-    def _memory(self, ranks: int, here: int, gathered: int) -> tuple[float, float]:
+    def _work(self) -> float:
+        """Pairs of transforms that one surface takes, or that take as long as what else is done."""
+        job, control, wraps = self.job, self.job.imposed.control, self.job.cell.domain.wraps
+        if control == "mean_gap" and not wraps:
+            search = OPEN_GAP_WORK
+        elif self.sticks:
+            search = 1.0
+        else:
+            known = self.one_solution or control in ("pressure", "percolation")
+            search = SEARCH_WORK[control] if known else SOLUTIONS_WORK
+        solving = np.mean([cost.transforms for cost in self.solving_costs()]) * job.solid.effort * search
+        if job.wall.kind == "hard" and job.solid.softest(job.cell.lengths, job.cell.spacings) < SOFT:
+            solving *= THIN_WORK
+        measuring = BESIDES[0] + sum(cost.transforms for cost in self.measuring_costs())
+        each = solving + measuring if wraps else OPEN_WORK * solving + OPEN_MEASURING * measuring
+        return float(each) * len(job.load.targets) + BESIDES[1]
+
+    def _memory(self, ranks: int, here: int) -> tuple[float, float]:
         """Bytes for one surface, of the rank and of the node that need most, while it is solved and measured, or
-        written, when one rank holds `gathered` bytes.  here: ranks of a node.
+        written.  here: ranks of a node.
 
         Of the shared strips of blocked transforms, a rank touches its own and its rows of the others on its node; with
         several nodes, also a strip for each of these, and its own rows, packed.
@@ -134,16 +138,16 @@ class Plan:
         job = self.job
         nodes = -(-ranks // here)
         shares, of_node = (largest_shares(job.cell.n, ranks, of) for of in (1, here))
-        workspace = WORKSPACE[job.solver.transform]
-        blocked = workspace * (job.solver.transform == "blocked")
+        blocked = WORKSPACE["blocked"] * (job.solver.transform == "blocked")
         packed = blocked * (1 - 1 / nodes)
         seen = blocked * (here - 1) / (here if nodes == 1 else 1) + packed
-        transformed = not blocked or any(cost.transforms for cost in self.measuring_costs())
-        written = self.field_bytes + workspace * transformed  # blocked strips are made when a transform needs them
-        solving, of_nodes = self.bytes_per_point(ranks), self.bytes_per_point(nodes)
-        rank = max(self._peak(shares, solving, 1), written * shares[0] + gathered) + seen * shares[0]
-        node = max(self._peak(of_node, of_nodes, here), written * of_node[0] + gathered) + packed * of_node[0]
-        return rank, node
+        gathered = min(math.prod(job.cell.n) * 8, AGGREGATION_BYTES) if job.output.fields and ranks > 1 else 0
+        written = FIELDS * np.dtype(job.solver.storage).itemsize  # blocked strips are made when a transform needs them
+        if not blocked or any(cost.transforms for cost in self.measuring_costs()):
+            written += WORKSPACE[job.solver.transform]
+        rank = max(self._peak(shares, self.bytes_per_point(ranks), 1), written * shares[0] + gathered)
+        node = max(self._peak(of_node, self.bytes_per_point(nodes), here), written * of_node[0] + gathered)
+        return rank + seen * shares[0], node + packed * of_node[0]
 
     def rank_groups(self, ranks: int, room: float = math.inf) -> int:
         """Number of groups of ranks, each of which takes one surface at a time: 1 if there is one surface; for an
@@ -204,16 +208,11 @@ class Plan:
         moderate = 5 / MODERATE < slope * min(cell.spacings) and slope * max(cell.lengths) < MODERATE
         return self.job.wall.reach > 0 or not (surface.centred and moderate)
 
-    @property
-    def field_bytes(self) -> float:
-        """Bytes per grid point of heights, pressure and gap."""
-        return 3.0 * np.dtype(self.job.solver.storage).itemsize
-
     def bytes_per_point(self, slabs: int = 1) -> float:
         """Bytes per grid point at the peak of solving and measuring, on the fullest of so many slabs."""
         job = self.job
         costs = self.solving_costs(slabs) + self.measuring_costs()
-        kept = self.field_bytes + PLASTIC_BYTES * (job.wall.highest < math.inf)
+        kept = FIELDS * np.dtype(job.solver.storage).itemsize + PLASTIC_BYTES * (job.wall.highest < math.inf)
         if job.imposed.control != "pressure":
             kept += AIMED_BYTES if self.one_solution else SEARCH_BYTES
         torus = job.cell.domain.torus(job.cell.n, job.cell.spacings)
