@@ -41,6 +41,8 @@ from pgfmd.solvers.solution import ContactSolution, SolverState
 from pgfmd.surfaces.file import fill_holes, warn_of_edges
 from pgfmd.surfaces.measurement import is_topography
 
+IMPOSED = "pressure", "contact_area", "mean_gap", "displacement", "force"
+CLOSENESS = "area_tolerance", "gap_tolerance", "percolation_accuracy"
 log = logging.getLogger("pgfmd")
 
 
@@ -130,13 +132,12 @@ def solve(  # type: ignore[misc]  # the overloads leave the names of the options
     [0.287, 0.132, 0.028]
     """
     comm = ALONE if comm is None else comm
+    given = locals()
     if _is_batch(comm, heights):
-        return _batch(heights, {name: value for name, value in locals().items() if name != "heights"})
-    imposed = {"pressure": pressure, "contact_area": contact_area, "mean_gap": mean_gap}
-    imposed |= {"displacement": displacement, "force": force, "percolation": percolation}
+        return _batch(given)
     with raise_together(comm):
         topography, (heights, spacing) = heights, surface_of(heights, spacing, comm)
-        name, targets, single = targets_of(imposed)
+        name, targets, single = targets_of({name: given[name] for name in (*IMPOSED, "percolation")})
         refine, domain = checked("refine", refine, integer(1)), DOMAINS[checked("boundary", boundary, BOUNDARY)]
         if refine > 1 and not domain.wraps:
             raise InputError('refine: must be 1 with boundary = "open": heights that do not wrap have no Fourier modes')
@@ -147,24 +148,21 @@ def solve(  # type: ignore[misc]  # the overloads leave the names of the options
         options = Solver(
             method=method, storage=storage, tolerance=checked("tolerance", tolerance, number(above=0, below=1))
         )
-        closeness: dict[str, Any] = {"area_tolerance": area_tolerance, "gap_tolerance": gap_tolerance}
-        closeness["percolation_accuracy"] = percolation_accuracy
-        closeness = {key: checked(key, value, rule_of_load(key)) for key, value in closeness.items()}
+        closeness = {key: checked(key, given[key], rule_of_load(key)) for key in CLOSENESS}
     agree(comm, (name, targets, single, solid, law, options, closeness, refine, domain, start is None))
-    grid = _grid(comm, heights, spacing, threads, domain)
-    _mend(grid, heights, topography)
-    if refine > 1:
-        own, grid = grid, grid.like(comm, (refine * grid.shape[0], refine * grid.shape[1]), grid.lengths)
+    own = _grid(comm, heights, spacing, threads, domain)
+    _mend(own, heights, topography)
+    grid = own if refine == 1 else own.like(comm, (refine * own.shape[0], refine * own.shape[1]), own.lengths)
     options.check_storage(law, solid, domain, grid.lengths, grid.spacing)
     if refine > 1:
-        with own.freed():
+        with own.freed(), grid.freed():  # so that no transforms stay if what follows is refused
             heights = interpolate(own, grid, heights)
     grid.storage = np.dtype(storage).type
     heights = in_storage(grid, heights)
     if start is not None:
         with raise_together(comm):
-            given = alike("start", start, heights)
-            start = given if single else own_copy(given, start)  # a list is solved later
+            pressed = alike("start", start, heights)
+            start = pressed if single else own_copy(pressed, start)  # a list is solved later
     solid.prepare(grid)
     if name == "force":
         name, targets = "pressure", tuple(target / math.prod(grid.lengths) for target in targets)
@@ -193,8 +191,9 @@ def _is_batch(comm: MPI.Comm, heights: Any) -> bool:
     return several
 
 
-def _batch(surfaces: np.ndarray, options: dict[str, Any]) -> list[Contact]:
-    """The contacts of surfaces (B, nx_local, ny).  Collective."""
+def _batch(options: dict[str, Any]) -> list[Contact]:
+    """The contacts of surfaces (B, nx_local, ny), from the arguments of `solve`.  Collective."""
+    surfaces = options.pop("heights")
     with raise_together(options["comm"]):
         if not len(surfaces) or options["start"] is not None or any(np.ndim(options[name]) for name in IMPOSED):
             raise InputError("heights (B, nx, ny): B ≥ 1 surfaces take one load, as a number, and no start")
@@ -247,8 +246,9 @@ def certify(
     agree(comm, (solid, law, mean, domain))
     grid = _grid(comm, heights, spacing, threads, domain)
     _mend(grid, heights, topography)
-    solid.prepare(grid)
-    contact = certified(ContactProblem(grid, heights, solid, law), given, mean)
+    with grid.freed():
+        solid.prepare(grid)
+        contact = certified(ContactProblem(grid, heights, solid, law), given, mean)
     if contact.projection.doubt and comm.rank == 0:
         log.warning("%s", contact.projection.doubt)
     return contact
@@ -333,6 +333,3 @@ def _solve(
         return solve_contact(problem, options, start, see)
     finally:
         bar.hide()
-
-
-IMPOSED = "pressure", "contact_area", "mean_gap", "displacement", "force"

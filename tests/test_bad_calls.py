@@ -10,6 +10,7 @@ import pytest
 pytest.importorskip("mpi4py")
 
 import pgfmd  # noqa: E402
+from pgfmd.grid.slab_grid import SlabGrid  # noqa: E402
 from pgfmd.parallel.collectives import slab  # noqa: E402
 from pgfmd.physics.solids.homogeneous import Homogeneous  # noqa: E402
 
@@ -193,3 +194,21 @@ def test_refined_contact_is_that_of_the_interpolated_heights(comm):
     own, refined = (pgfmd.surface(job | {"grid": {"n": 16, "refine": k}}, comm) for k in (1, 3))
     assert refined.shape == (len(range(48)[slab(48, comm.size, comm.rank)]), 48)
     assert comm.size > 1 or np.allclose(refined[::3, ::3], own)
+
+
+def test_no_transforms_stay(comm, monkeypatch):
+    """A contact, a certificate and a refused call leave no grid with memory of its transforms, refined or not."""
+    made, make = [], SlabGrid.__init__
+
+    def recorded(grid, *arguments, **options):
+        made.append(grid)
+        make(grid, *arguments, **options)
+
+    monkeypatch.setattr(SlabGrid, "__init__", recorded)
+    contact = solve(comm)
+    with pytest.raises(pgfmd.InputError, match="start of shape"):
+        solve(comm, refine=2, start=contact.pressure)
+    with pytest.raises(pgfmd.InputError, match="float32"):
+        solve(comm, refine=2, storage="float32", zeta=1.0)
+    pgfmd.certify(contact.heights, contact.pressure, comm=comm)
+    assert len(made) > 5 and not any(grid._planned or grid._strips for grid in made)
