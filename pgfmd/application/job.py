@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-import pickle
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -85,9 +84,6 @@ class Written(Section):
     )
     pressure_unit: str = key(text(), "pressure", "label")
 
-    def __reduce__(self) -> tuple:  # pickled for other ranks, which make the class again
-        return _output, ({field.name: getattr(self, field.name) for field in dataclasses.fields(self)},)
-
     def check(self) -> None:
         makers = {field: name for name, kind in OBSERVABLES.items() for field in kind.fields}
         for field in self.fields:
@@ -111,10 +107,6 @@ class Written(Section):
         """Connectivity of the contact patches, in their table and in the field of labels."""
         patches: ContactPatches = getattr(self, ContactPatches.name)
         return patches.connectivity
-
-
-def _output(values: dict[str, Any]) -> Written:
-    return output_section()(**values)
 
 
 def output_section() -> type[Written]:
@@ -176,9 +168,8 @@ class Job:
             names = (*self.output.observables, name)
             object.__setattr__(self, "output", dataclasses.replace(self.output, observables=names))
 
-    def __reduce__(self) -> tuple:  # pickled for other ranks, which load plugins before objects of their classes
-        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        return _job, (values.pop("plugins"), pickle.dumps(values))
+    def __reduce__(self) -> tuple:  # pickled as text for other ranks, which may not see its files
+        return _job, (self.plugins, _tables_of(self), self.text)
 
     @property
     def imposed(self) -> Load:
@@ -211,10 +202,9 @@ class Job:
         return dataclasses.replace(self, surface=dataclasses.replace(self.surface, seed=seed))  # type: ignore[call-arg]
 
 
-def _job(plugins: tuple[Plugin, ...], values: bytes) -> Job:
-    for plugin in plugins:
-        plugin.load()
-    return Job(**pickle.loads(values), plugins=plugins)
+def _job(plugins: tuple[Plugin, ...], effective: str, text: str) -> Job:
+    _register(plugins)
+    return dataclasses.replace(parse(effective), plugins=plugins, text=text)
 
 
 _SECTIONS: tuple[type[Section] | Kinds, ...] = (Cell, SURFACES, SOLIDS, LAWS, Load, Solver, output_section(), Run)
@@ -251,46 +241,52 @@ def parse(
         raise InputError(f"{printable(name, 400)}: not valid TOML: nested too deeply") from None
     except ValueError as error:
         raise InputError(f"{printable(name, 400)}: not valid TOML: {printable(str(error), 200)}") from None
-    overridden: set[str] = set()
+    changes: dict[str, Any] = {}
     try:
+        paths = checked("plugins", document.pop("plugins", []), PLUGINS)
+        plugins = tuple(user_plugins.read(os.path.join(folder or "", path)) for path in paths)
+        _register(plugins)
+        _check_tables(document)
         if folder is not None:
             _anchor(document, folder)
-        plugins = _load_plugins(document.pop("plugins", []))
-        changes = {dotted: (value, entry) for dotted, value, entry in map(_change, overrides)}
-        overridden |= changes.keys()
-        _make_way(document, {dotted: value for dotted, (value, _) in changes.items()})
-        for dotted, (value, entry) in changes.items():
-            _override(document, dotted, value, entry)
+        changes |= dict(map(_change, overrides))
+        _make_way(document, changes)
+        for dotted, value in changes.items():
+            _override(document, dotted, value)
+        _check_tables(document)
         if folder is not None:
             _complete(document)
-        sections: dict[str, Any] = {"plugins": plugins}
-        for section, table in document.items():
-            if section not in SECTIONS:
-                raise InputError(f"[{printable(section)}] is not a section{guess(section, list(SECTIONS))}")
-            sections[section] = build(SECTIONS[section], table)
-        for section in ("grid", "surface", "load"):
+        sections: dict[str, Any] = {section: build(SECTIONS[section], table) for section, table in document.items()}
+        for section, what in NEEDED.items():
             if section not in sections:
-                raise InputError(f"[{section}] is missing: it must say {NEEDED[section]}")
-        return Job(**sections, text=source)
+                raise InputError(f"[{section}] is missing: it must say {what}")
+        return Job(**sections, plugins=plugins, text=source)
     except InputError as error:
         # A message begins with the key.
-        at_fault = "--set" if str(error).split(" ")[0].rstrip(":") in overridden else printable(name, 400)
+        at_fault = "--set" if str(error).split(" ")[0].rstrip(":") in changes else printable(name, 400)
         missing = at_fault == "--set" and "no such file" in str(error)
         hint = " (a path after --set counts from the working directory)" * missing
         raise InputError(f"{at_fault}: {error}{hint}") from None
 
 
-def _load_plugins(paths: Any) -> tuple[Plugin, ...]:
-    """Load the files of the key `plugins`, and register their classes; raises InputError."""
-    loaded = tuple(map(user_plugins.read, checked("plugins", paths, PLUGINS)))
-    for plugin in loaded:
+def _register(plugins: tuple[Plugin, ...]) -> None:
+    """Run the plugins, and know their classes; raises InputError."""
+    for plugin in plugins:
         plugin.load()
     SECTIONS["output"] = output_section()
-    return loaded
 
 
-def _change(entry: str) -> tuple[str, Any, str]:
-    """(dotted key, value, entry) of "section.key=value".  A value that is not TOML is taken as a text."""
+def _check_tables(document: dict) -> None:
+    """Raises InputError unless all entries of the document are tables of known names."""
+    for section, table in document.items():
+        if section not in SECTIONS:
+            raise InputError(f"[{printable(section)}] is not a section{guess(section, list(SECTIONS))}")
+        if not isinstance(table, dict):
+            raise InputError(f"{section} = {show(table)}: must be a table, [{section}]")
+
+
+def _change(entry: str) -> tuple[str, Any]:
+    """(dotted key, value) of "section.key=value".  A value that is not TOML is taken as a text."""
     dotted, equals, value = entry.partition("=")
     names = dotted.strip().split(".")
     if not equals or len(names) < 2 or not all(names):
@@ -303,17 +299,14 @@ def _change(entry: str) -> tuple[str, Any, str]:
         if parsed[:1] == "[":
             quoted = f"""texts need quotes: '{dotted}=["…"]'"""
             raise InputError(f"--set {printable(entry, 200)}: not TOML; {quoted}") from None
-    return dotted.strip(), parsed, entry
+    return dotted.strip(), parsed
 
 
 def _make_way(document: dict, changes: Mapping[str, Any]) -> None:
     """Remove what changes replace: keys that a new kind of section does not have, and any other imposed quantity."""
     for dotted, value in changes.items():
         section, _, name = dotted.partition(".")
-        table, kinds = document.get(section), SECTIONS.get(section)
-        if not isinstance(table, dict):
-            continue
-        unwanted: set[str] = set()
+        table, kinds, unwanted = document.get(section, {}), SECTIONS.get(section), set[str]()
         if name == "kind" and isinstance(kinds, Kinds) and (keys := kinds.keys(value)) is not None:
             unwanted = table.keys() - keys
         elif section == "load" and name in CONTROLS:
@@ -323,37 +316,31 @@ def _make_way(document: dict, changes: Mapping[str, Any]) -> None:
                 table.pop(other, None)
 
 
-def _override(document: dict, dotted: str, value: Any, entry: str) -> None:
+def _override(document: dict, dotted: str, value: Any) -> None:
     """Put a value into the document."""
     *tables, last = dotted.split(".")
     for position, name in enumerate(tables):
         document = document.setdefault(name, {})
         if not isinstance(document, dict):
-            raise InputError(f"--set {printable(entry, 200)}: {'.'.join(tables[: position + 1])} is not a table")
+            raise InputError(f"--set {printable(dotted, 200)}: {'.'.join(tables[: position + 1])} is not a table")
     document[last] = os.path.abspath(value) if last == "path" and isinstance(value, str) else value
 
 
 def _anchor(document: dict, folder: str) -> None:
     """Make the `path` of each section absolute, in place."""
-    surface = document.get("surface")
-    for table in (*document.values(), surface.get("second") if isinstance(surface, dict) else None):
+    for table in (*document.values(), document.get("surface", {}).get("second")):
         if isinstance(table, dict) and isinstance(table.get("path"), str) and table["path"]:
             table["path"] = os.path.join(folder, table["path"])
-    if isinstance(paths := document.get("plugins"), list):
-        document["plugins"] = [os.path.join(folder, path) if isinstance(path, str) else path for path in paths]
 
 
 def _complete(document: dict) -> None:
     """Add what the document leaves out, and its file of heights says: points, size, unit.  Raises InputError."""
     for section, table in document.items():
-        if section in SECTIONS and isinstance(table, dict) and isinstance(table.get("path"), str) and table["path"]:
+        if isinstance(table.get("path"), str) and table["path"]:
             path, _ = build(SECTIONS[section], table).source or (table["path"], None)
             if not os.path.isfile(path):
                 raise InputError(f"{section}.path: no such file: {printable(path, 400)}")
-    table = document.get("surface")
-    grid, output = document.get("grid", {}), document.get("output", {})
-    if not (isinstance(table, dict) and isinstance(grid, dict) and isinstance(output, dict)):
-        return  # `build` raises the error
+    table, grid, output = (document.get(section, {}) for section in ("surface", "grid", "output"))
     sized, unit = {"length", "spacing"} & grid.keys(), output.get("length_unit", NO_UNIT)
     if "path" not in table or sized and "n" in grid and unit != NO_UNIT:
         return
@@ -371,8 +358,12 @@ def _complete(document: dict) -> None:
 
 def as_toml(job: Job) -> str:
     """The effective job as TOML: every key with its value, defaults included.  `parse` of it gives an equal Job."""
-    plugins = [f"plugins = {as_toml_value([plugin.path for plugin in job.plugins])}\n"] if job.plugins else []
-    return "\n".join([*plugins, *(section_as_toml(section, getattr(job, section)) for section in SECTIONS)])
+    plugins = f"plugins = {as_toml_value([plugin.path for plugin in job.plugins])}\n\n" * bool(job.plugins)
+    return plugins + _tables_of(job)
+
+
+def _tables_of(job: Job) -> str:
+    return "\n".join(section_as_toml(section, getattr(job, section)) for section in SECTIONS)
 
 
 def tables_as_toml(job: Mapping[str, Any]) -> str:
