@@ -297,16 +297,10 @@ class FromFile(Surface):
 def log_range(grid: SlabGrid, heights: np.ndarray, length_unit: str | None) -> None:
     """Log range, rms value and slope of the scaled heights; warn if the slope is not within SLOPES.  Collective."""
     lowest, highest = grid.reduction.min(heights), grid.reduction.max(heights)
-    unit = max(-lowest, highest) or 1.0  # so that squares do not overflow
-    below = grid.fetch(heights, grid.rows.stop, min(grid.rows.stop + 1, grid.shape[0]))
+    unit, steps = _rms_steps(grid, heights)
     mean = grid.reduction.sum(heights / unit) / grid.size
-    steps_x, steps_y = np.diff(heights / unit, axis=0, append=below / unit), np.diff(heights / unit, axis=1)
-    variance, *squares = grid.reduction.sums(
-        np.sum((heights / unit - mean) ** 2) / grid.size,
-        np.sum(steps_x**2) / max((grid.shape[0] - 1) * grid.shape[1], 1),
-        np.sum(steps_y**2) / max(grid.shape[0] * (grid.shape[1] - 1), 1),
-    )
-    slope = math.hypot(*(unit / step * math.sqrt(each) for step, each in zip(grid.spacing, squares, strict=True)))
+    variance = grid.reduction.sum((heights / unit - mean) ** 2) / grid.size
+    slope = math.hypot(steps[0] / grid.spacing[0], steps[1] / grid.spacing[1])
     if grid.comm.rank != 0:
         return
     log.info(
@@ -352,23 +346,26 @@ def warn_of_edges(grid: SlabGrid, heights: np.ndarray) -> None:
 
 def jumps(grid: SlabGrid, heights: np.ndarray) -> list[str]:
     """A line for each direction where opposite edges differ by over `CLIFF` steps between neighbours.  Collective."""
+    _, (step_x, step_y, jump_x, jump_y) = _rms_steps(grid, heights)
+    return [
+        f"across {name} by {jump:.3g} (rms), neighbours by {step:.3g}"
+        for name, jump, step in (("x", jump_x, step_x), ("y", jump_y, step_y))
+        if jump > CLIFF * step
+    ]
+
+
+def _rms_steps(grid: SlabGrid, heights: np.ndarray) -> tuple[float, list[float]]:
+    """The largest height; rms steps between neighbours along x and y, and between opposite edges across x and y.
+    Collective.
+    """
     unit = max(-grid.reduction.min(heights), grid.reduction.max(heights)) or 1.0  # so that squares do not overflow
-    below = grid.fetch(heights, grid.rows.stop, grid.rows.stop + 1) / unit
-    steps_x, steps_y = np.diff(heights / unit, axis=0, append=below), np.diff(heights / unit, axis=1)
-    at_edge = grid.rows.stop == grid.shape[0]
-    squares = grid.reduction.sums(  # of jumps across x and y, then of steps along them
-        np.sum(steps_x[-1] ** 2) if at_edge else 0.0,
-        np.sum((heights[:, 0] / unit - heights[:, -1] / unit) ** 2),
-        np.sum(steps_x[: len(steps_x) - at_edge] ** 2),
-        np.sum(steps_y**2),
-    )
-    lines = []
-    for axis, name in enumerate("xy"):
-        count, across = grid.shape[axis], grid.shape[1 - axis]
-        jump, step = math.sqrt(squares[axis] / across), math.sqrt(squares[2 + axis] / max((count - 1) * across, 1))
-        if jump > CLIFF * step:
-            lines.append(f"across {name} by {unit * jump:.3g} (rms), neighbours by {unit * step:.3g}")
-    return lines
+    scaled, (nx, ny) = heights / unit, grid.shape
+    steps_x = np.diff(scaled, axis=0, append=grid.fetch(heights, grid.rows.stop, grid.rows.stop + 1) / unit)
+    inner = len(steps_x) - (grid.rows.stop == nx)
+    parts = steps_x[:inner], np.diff(scaled, axis=1), steps_x[inner:], scaled[:, 0] - scaled[:, -1]
+    counts = (nx - 1) * ny, nx * (ny - 1), ny, nx
+    sums = grid.reduction.sums(*(np.sum(part**2) for part in parts))
+    return unit, [unit * math.sqrt(each / max(count, 1)) for each, count in zip(sums, counts, strict=True)]
 
 
 def _edge_weights(count: int) -> np.ndarray:
