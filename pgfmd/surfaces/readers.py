@@ -77,8 +77,7 @@ def read_table(path: str, least: int = 3) -> np.ndarray | None:
     not separate columns.  # begins a comment.  A .csv may begin with lines of words, which are passed over up to the
     first line of `least` numbers.  Raises InputError, without the path, if lines differ in length.
     """
-    _, first, passed = _opening(path, least)
-    style = _style(first)
+    _, style, passed = _opening(path, least)
     if style is None:
         return None
     if style[1] == ".":
@@ -116,13 +115,14 @@ def read_curve(path: str, name: str) -> tuple[np.ndarray, np.ndarray]:
     return q, values
 
 
-def _opening(path: str, least: int) -> tuple[list[str], str, int]:
-    """(comments, first, passed): the comments at the beginning of the file, and the first line that is neither comment
-    nor blank.  If a .csv has a line of `least` numbers among the first HEADER ones, `first` is that line, and `passed`
-    the number of lines before it; passed = 0 where no line of words comes before `first`.
+def _opening(path: str, least: int) -> tuple[list[str], tuple[str | None, str] | None, int]:
+    """(comments, style, passed): the comments at the beginning of the file, and how the first other line writes its
+    numbers, None if it has words.  If a .csv has a line of `least` numbers among the first HEADER ones, that line
+    counts, and `passed` is the number of lines before it; 0 where these are no words.
     """
     comments: list[str] = []
-    first, words, table = "", 0, os.fspath(path).lower().endswith(".csv")
+    styles: list[tuple[str | None, str] | None] = []  # of lines that are no comments
+    table = os.fspath(path).lower().endswith(".csv")
     with open(path, encoding="utf-8-sig", errors="replace") as file:
         for passed in range(HEADER if table else MOST_COMMENTS):
             line = file.readline(2**22)  # a file with longer lines is no text
@@ -131,12 +131,11 @@ def _opening(path: str, least: int) -> tuple[list[str], str, int]:
             elif not line:
                 break
             elif (line := line.partition("#")[0]).strip():
-                first = first or line
                 style = _style(line)
                 if not table or style and len(_fields(line, style) or []) >= least:
-                    return comments, line, passed if words else 0
-                words += 1
-    return comments, first, 0
+                    return comments, style, passed if styles else 0
+                styles.append(style)
+    return comments, styles[0] if styles else None, 0
 
 
 def _style(line: str) -> tuple[str | None, str] | None:
@@ -263,19 +262,18 @@ def _unpacked(path: str, dataset: str | None) -> Iterator[tuple[str, str | None]
     """A file with the content of a .gz, or of one member of a .zip, that lasts for the block, and the dataset in it."""
     with tempfile.TemporaryDirectory(prefix="pgfmd-") as folder, damage_reported("cannot be unpacked"):
         if path.lower().endswith(".gz"):
-            source: Any = gzip.open(path)
-            name = os.path.basename(path)[:-3]
+            inner = os.path.join(folder, os.path.basename(path)[:-3])
+            with gzip.open(path) as source, open(inner, "wb") as target:
+                shutil.copyfileobj(source, target)
         else:
-            archive = zipfile.ZipFile(path)
-            names = [each for each in archive.namelist() if not each.endswith("/") and not each.startswith("__MACOSX")]
-            name = names[0] if len(names) == 1 else dataset or ""
-            if name not in names:
-                listed = printable(", ".join(names), 300) or "none"
-                raise InputError(f'say which of its files holds the heights (path = "file.zip:name"); found: {listed}')
-            source, dataset = archive.open(name), None if name == dataset else dataset
-        inner = os.path.join(folder, os.path.basename(name))
-        with source, open(inner, "wb") as target:
-            shutil.copyfileobj(source, target)
+            with zipfile.ZipFile(path) as archive:
+                names = [name for name in archive.namelist() if not name.endswith("/") and name[:8] != "__MACOSX"]
+                name = names[0] if len(names) == 1 else dataset or ""
+                if name not in names:
+                    listed = printable(", ".join(names), 300) or "none"
+                    which = 'which of its files holds the heights (path = "file.zip:name")'
+                    raise InputError(f"say {which}; found: {listed}")
+                inner, dataset = archive.extract(name, folder), None if name == dataset else dataset
         yield inner, dataset
 
 
@@ -295,18 +293,14 @@ def _described(dataset: h5py.Dataset) -> Measurement:
     if isinstance(unit, bytes):
         unit = unit.decode(errors="replace")
     unit = unit.strip() if isinstance(unit, str) else ""
-    numbers = {}
-    for name in ("scale_factor", "add_offset", "_FillValue"):
+    unit = None if unit in NO_UNIT else unit
+
+    def number(name: str, default: float | None) -> Any:
         value = np.asarray(dataset.attrs.get(name, np.nan))
-        numbers[name] = value.item() if value.size == 1 and value.dtype.kind in "fiu" else np.nan
-    return Measurement(
-        dataset,
-        f"HDF5 dataset {printable(dataset.name)}",
-        unit=None if unit in NO_UNIT else unit,
-        factor=1.0 if np.isnan(numbers["scale_factor"]) else numbers["scale_factor"],
-        offset=0.0 if np.isnan(numbers["add_offset"]) else numbers["add_offset"],
-        fill=None if np.isnan(numbers["_FillValue"]) else numbers["_FillValue"],
-    )
+        return value.item() if value.size == 1 and value.dtype.kind in "fiu" and not np.isnan(value) else default
+
+    scaling = number("scale_factor", 1.0), number("add_offset", 0.0), number("_FillValue", None)
+    return Measurement(dataset, f"HDF5 dataset {printable(dataset.name)}", None, unit, *scaling)
 
 
 def _two_dimensional(file: h5py.File) -> list[str]:
