@@ -14,6 +14,7 @@ from pgfmd.grid.cell import Cell
 from pgfmd.options.rules import POSITIVE, number, seeds
 from pgfmd.options.section import key, wrong
 from pgfmd.options.text import show
+from pgfmd.surfaces.random_modes import RandomModes
 from pgfmd.surfaces.rigid_surface import SEED, SLACK, Surface, single
 
 if TYPE_CHECKING:
@@ -135,8 +136,6 @@ def _heights(
     """Heights (nx_local, ny) for the wavelengths λ_s, λ_l, λ_r as lengths.  If λ_s is at most the larger grid
     spacing, there is no upper cut-off: every mode of the grid counts, corners included.  Collective.
     """
-    from pgfmd.surfaces.random_modes import RandomModes  # compiled code, which only a run needs
-
     side = max(grid.lengths)
     k_s, k_l, k_r = (min(side / length, HIGHEST) if length else HIGHEST for length in wavelengths)
     if wavelengths[0] <= max(grid.spacing) * (1 + SLACK):

@@ -12,6 +12,7 @@ from pgfmd.grid.cell import Cell
 from pgfmd.options.rules import seeds
 from pgfmd.options.section import key, path_key
 from pgfmd.parallel.collectives import from_root
+from pgfmd.surfaces.random_modes import RandomModes
 from pgfmd.surfaces.readers import read_curve
 from pgfmd.surfaces.rigid_surface import SEED, SLACK, Surface, single
 
@@ -50,8 +51,6 @@ class FromSpectrum(Surface):
         return shortest if shortest > min(cell.spacings) * (1 + SLACK) else 0.0
 
     def heights(self, grid: SlabGrid, length_unit: str | None = None) -> np.ndarray:
-        from pgfmd.surfaces.random_modes import RandomModes  # compiled code, which only a run needs
-
         q, spectrum = from_root(grid.comm, self.table)
         unit = 2 * math.pi / max(grid.lengths)
         places, logarithms = np.log(q / unit), np.log(spectrum / (grid.lengths[0] * grid.lengths[1]))
