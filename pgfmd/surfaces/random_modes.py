@@ -50,18 +50,14 @@ class RandomModes:
         squares_x, moment = (kx * unit_x) ** 2, 0.0
         block[...] = 0
         for column, ky in zip(block, itertools.count(self.grid.columns.start + first), strict=False):
-            square_y = (ky * unit_y) ** 2
-            if square_y > self.k_max**2:
+            if ky * unit_y > self.k_max:
                 break
-            kx_max = math.sqrt(self.k_max**2 - square_y) / unit_x + 1
-            own_mirror = ky == 0 or 2 * ky == ny
-            for part in _slices_within(nx, kx_max, own_mirror):
-                modes = squares_x[part] + square_y
-                power = _random(self.seed, kx[part], ky, self.variance(modes), column[part])
-                moment += 0.0 if own_mirror else 2 * float(np.dot(modes, power))
+            squares, own_mirror = squares_x + (ky * unit_y) ** 2, ky == 0 or 2 * ky == ny
+            inside = np.flatnonzero((squares <= self.k_max**2) & (kx >= 0 if own_mirror else True))
+            column[inside] = np.sqrt(self.variance(squares[inside])) * _random(self.seed, kx[inside], ky)
             if own_mirror:
                 _mirror(column)
-                moment += float(np.dot(squares_x + square_y, column.real**2 + column.imag**2))
+            moment += (1 if own_mirror else 2) * float(np.dot(squares, column.real**2 + column.imag**2))
         return moment
 
     def heights(self, if_none: str, rms_slope: float | None = None) -> np.ndarray:
@@ -91,27 +87,13 @@ class RandomModes:
         return heights
 
 
-def _slices_within(nx: int, kx_max: float, own_mirror: bool) -> list[slice]:
-    """Slices of a column with the modes |kx| ≤ kx_max; without kx < 0 if the column is its own mirror image."""
-    count = min(int(min(kx_max, nx)), nx // 2) + 1
-    if own_mirror:
-        return [slice(0, count)]
-    return [slice(0, nx)] if 2 * count > nx else [slice(0, count), slice(nx - count + 1, nx)]
-
-
-def _random(seed: int, kx: np.ndarray, ky: int, variance: np.ndarray, out: np.ndarray) -> np.ndarray:
-    """Random modes of that variance into `out`, all of shape (count,); returns |h̃|² of each.
-
-    A number uniform in (0, 1] gives the modulus, another the phase.
-    """
+def _random(seed: int, kx: np.ndarray, ky: int) -> np.ndarray:
+    """Modes (kx[i], ky) of variance 1: a number uniform in (0, 1] gives the modulus, another the phase."""
     start = _mix(np.array([seed], np.uint64) + _GOLDEN)
     state = _mix(_mix(start ^ (kx.astype(np.uint64) * _GOLDEN)) + np.array([ky], np.uint64) * _ODD)
     uniform, turn = ((_mix(state + step) >> np.uint64(11)) * 2.0**-53 for step in (_GOLDEN, _TWICE))
-    power = -variance * np.log(uniform + 2.0**-53)
-    modulus, phase = np.sqrt(power), 2 * np.pi * turn
-    np.multiply(modulus, np.cos(phase), out=out.real)
-    np.multiply(modulus, np.sin(phase), out=out.imag)
-    return power
+    modulus, phase = np.sqrt(-np.log(uniform + 2.0**-53)), 2 * np.pi * turn
+    return modulus * np.cos(phase) + 1j * (modulus * np.sin(phase))
 
 
 def _mirror(column: np.ndarray) -> None:
