@@ -148,10 +148,13 @@ def choice(*allowed: Any) -> Rule:
 
 
 def many(rule: Rule, *, least: int = 0, distinct: bool = False) -> Rule:
-    """A list whose entries obey `rule`; one bare value counts as a list of one.  Converted to a tuple."""
+    """A list whose entries obey `rule`; one bare value counts as a list of one, also an array without axes.  Converted
+    to a tuple.
+    """
 
     def convert(value: Any) -> Any:
-        values = tuple(rule.convert(entry) for entry in _entries(value))
+        several = isinstance(value, (list, tuple)) or isinstance(value, np.ndarray) and value.ndim > 0
+        values = tuple(map(rule.convert, value if several else [value]))
         if len(values) < least or distinct and len(set(values)) < len(values):
             raise ValueError
         return values
@@ -163,12 +166,12 @@ def many(rule: Rule, *, least: int = 0, distinct: bool = False) -> Rule:
 
 def pair(rule: Rule) -> Rule:
     """One value for both directions, or a list of two, [x, y].  Converted to a tuple of two."""
+    several = many(rule)
 
     def convert(value: Any) -> Any:
-        values = tuple(rule.convert(entry) for entry in _entries(value))
-        if len(values) not in (1, 2):
-            raise ValueError
-        return values if len(values) == 2 else values * 2
+        values = several.convert(value)
+        x, y = values * 2 if len(values) == 1 else values  # ValueError for any other number
+        return x, y
 
     two = {"type": "array", "items": rule.schema, "minItems": 1, "maxItems": 2}
     return Rule(f"{rule.allowed}, or two of them [x, y]", convert, {"anyOf": [rule.schema, two]})
@@ -176,19 +179,13 @@ def pair(rule: Rule) -> Rule:
 
 def interval() -> Rule:
     """A list of two numbers, converted to a tuple."""
-    end = number()
+    several = many(number())
 
     def convert(value: Any) -> Any:
-        low, high = (end.convert(entry) for entry in _entries(value))
+        low, high = several.convert(value)
         if not low < high:
             raise ValueError
         return low, high
 
     ends = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}
     return Rule("a number and a larger one, [a, b]", convert, ends)
-
-
-def _entries(value: Any) -> list:
-    """The entries of a list; [value] for any other value, also an array without axes."""
-    several = isinstance(value, (list, tuple)) or isinstance(value, np.ndarray) and value.ndim > 0
-    return list(value) if several else [value]

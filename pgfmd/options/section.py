@@ -162,18 +162,20 @@ def build(section: type[Section] | Kinds, table: Any) -> Section:
 
 def in_words(section: Section) -> str:
     """The keys of a section that are not None, with their values, on one line; numbers to ten digits."""
-    values = {name: getattr(section, name) for name in _names(type(section))}
-    return assignments({name: float(f"{v:.10g}") if isinstance(v, float) else v for name, v in values.items()})
+    values = _values(section).items()
+    return assignments({name: float(f"{v:.10g}") if isinstance(v, float) else v for name, v in values})
 
 
 def as_toml(title: str, section: Section) -> str:
     """A section as a TOML table with all its keys, those that are None left out."""
-    values = {name: getattr(section, name) for name in _names(type(section))}
-    lines = [f"kind = {show(section.kind)}"] if section.kind else []
-    lines += [
-        f"{name} = {as_toml_value(value)}"
-        for name, value in values.items()
-        if value is not None and not isinstance(value, Section)
-    ]
-    tables = [as_toml(f"{title}.{name}", value) for name, value in values.items() if isinstance(value, Section)]
+    lines, tables = [f"kind = {show(section.kind)}"] if section.kind else [], []
+    for name, value in _values(section).items():
+        if isinstance(value, Section):
+            tables.append(as_toml(f"{title}.{name}", value))
+        elif value is not None:
+            lines.append(f"{name} = {as_toml_value(value)}")
     return "\n".join([f"[{title}]", *lines, "", *tables])
+
+
+def _values(section: Section) -> dict[str, Any]:
+    return {name: getattr(section, name) for name in _names(type(section))}
