@@ -165,10 +165,9 @@ def level_shift(
 ) -> float:
     """Error of the level by the residual on the finer grid, see above; NaN if it is not known.  Collective.
 
-    problem, found: the contact on the half grid, where heights may be overwritten; between, rest: `residual` there.
+    problem, found: the contact on the half grid; between, rest: `residual` there.
     """
-    options = Solver(method=problem.law.methods[0])
-    less = solve(problem.at((1 - LESS) * problem.mean_pressure), start=None, options=options)
+    less = solve(problem.at((1 - LESS) * problem.mean_pressure), start=None, options=Solver())
     if less is None:
         return math.nan
     change = found.pressure - less.pressure
@@ -220,11 +219,11 @@ def on_half_grid(
     coarse = SubGrid.coarse(problem.grid)
     given = [restrict_locally(problem.grid, coarse, field) for field in fields]
     heights = restrict(problem.grid, coarse, problem.heights)
-    options = Solver(method=problem.law.methods[0])
 
     def work(grid: SlabGrid) -> T | None:
-        found = solve(problem.on(grid, heights.copy()), start=None, options=options)
-        return None if found is None else measure(problem.on(grid, heights), found, *given)
+        half = problem.on(grid, heights)
+        found = solve(half, start=None, options=Solver())
+        return None if found is None else measure(half, found, *given)
 
     value = coarse.on_all(work)
     coarse.free()

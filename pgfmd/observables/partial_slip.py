@@ -78,11 +78,10 @@ class PartialSlip(Observable):
         problem, grid, mu = contact.problem, contact.grid, float(self.friction or 0.0)
         nu, mean, load = float(problem.solid.poisson or 0.0), contact.mean_pressure, math.nan
         ratio = (2 - nu) / (2 - 2 * nu) * mu  # of a shift to an approach
-        options = Solver(method=problem.law.methods[0], tolerance=TOLERANCE)
+        options = Solver(tolerance=TOLERANCE)
         for trial in range(MOST_TRIALS):
             other = problem.at((1 - self.load_share) * mean if trial == 0 else load)
-            # a copy of the heights: the solver may overwrite them
-            found = contact.surface.solve(other.on(grid, problem.heights.copy()), start=None, options=options)
+            found = contact.surface.solve(other, start=None, options=options)
             if found is None:  # the log says why
                 return {TABLE: {name: np.array(math.nan) for name in self.layout[TABLE]}}
             lower, stiffness = found.mean_pressure, sum(increment(other, found.pressure, 1e-3)[1:3]) / 2

@@ -35,16 +35,14 @@ def solve_contact(
     options: Solver = Solver(),  # noqa: B008  (frozen)
     start: np.ndarray | None = None,
     monitor: Monitor | None = None,
-    overwrite_heights: bool = False,
 ) -> ContactSolution:
     """The contact, solved by the method and to the tolerance of the options.  Collective.
 
     start: a pressure (nx_local, ny) to begin with instead of coarse grids; it is ignored if its sum is 0 or not finite.
     If the method fails, it is tried once more without the start; if that fails, the method is "auto" and fields are in
     double precision, dynamics are tried (neither if rounding alone keeps the error above the tolerance).
-    monitor(grid, state): called after outer steps.  overwrite_heights: their memory may be used, and they are lost; a
-    method that fails is then not followed by another.  Raises InputError for a method that the law does not take and
-    for values out of range, SolverError if the tolerance cannot be reached.
+    monitor(grid, state): called after outer steps.  Raises InputError for a method that the law does not take and for
+    values out of range, SolverError if the tolerance cannot be reached.
     """
     options.check_law(problem.law)
     options.check_domain(problem.law, problem.solid, problem.grid.domain)
@@ -56,15 +54,15 @@ def solve_contact(
     if problem.imposed is not None:
         if method != "active-set":
             raise SolverError(f"{method} needs a given mean pressure")
-        return solve_hard_wall(problem, options.tolerance, start, monitor, overwrite_heights)
+        return solve_hard_wall(problem, options.tolerance, start, monitor)
     rescued = options.method == "auto" and "gfmd" in problem.law.methods and problem.grid.domain.wraps
     rescued &= problem.grid.storage is np.float64
     limit = {"max_steps": options.max_iterations} if options.max_iterations else {}
-    solver = partial(SOLVERS[method], problem, monitor=monitor, overwrite_heights=overwrite_heights, **limit)
+    solver = partial(SOLVERS[method], problem, monitor=monitor, **limit)
     try:
         return _certified(solver, options.tolerance, start)
     except SolverError as failure:
-        if overwrite_heights or start is None and not rescued or isinstance(failure, Uncertifiable):
+        if start is None and not rescued or isinstance(failure, Uncertifiable):
             raise
         if not shared(problem.grid.comm, failure):
             raise

@@ -36,13 +36,12 @@ def solve_gfmd(
     tolerance: float = 1e-8,
     start: np.ndarray | None = None,
     monitor: Monitor | None = None,
-    overwrite_heights: bool = False,
     max_steps: int = 10000,
 ) -> ContactSolution:
     """Contact under any convex law by dynamics.  Raises SolverError after `max_steps`; all else as
     `NestedIteration.contact`.  Collective.
     """
-    scaled = Dimensionless(problem, overwrite_heights)
+    scaled = Dimensionless(problem)
     if scaled.uniform is not None:
         return scaled.uniform
     dynamics, grid = Dynamics(scaled.problem), problem.grid

@@ -118,8 +118,7 @@ class ContactSolution:
 
 
 Solve = Callable[..., ContactSolution | None]
-"""solve(problem, start=pressure to start from, or None, …): the contact, or None if that fails.  Collective; may
-overwrite the heights of `problem`."""
+"""solve(problem, start=pressure to start from, or None, …): the contact, or None if that fails.  Collective."""
 
 
 class Patience:

@@ -50,6 +50,7 @@ CUT_POWER = 0.7  # after a step with the factor f on the error, the next one tak
 MARGIN: dict[Precision, float] = {np.float32: 0.4, np.float64: 0.15}
 WITHIN = 0.45  # a step aims at the tolerance if the factor for that is at least this part of the useful one
 LATE = 8  # steps at the tolerance that may be spent on meeting what is imposed
+MOST_STEPS = 200  # before giving up
 STUCK = 3  # steps without halving the least error, before double precision is taken
 WORST = 0.4  # largest error of a start that counts
 MOVED = 1e-4  # the same where an area or a gap is sought; at 1e-5 searches cost 5 % more
@@ -94,14 +95,14 @@ class Relaxation:
 
     Attributes: highest, the largest pressure σ_Y; squares, Σ p² and Σ u² of the last response; heights_squared, see
     `Rounding.bound`, where p > 0; summit, the largest height.  precision: the one to begin with; patience: steps
-    without halving the least error, and most_steps, before giving up; enough: the error at which to end.
+    without halving the least error before giving up; enough: the error at which to end.
     inner: the response between unknowns.  hidden:
     twice the energy error of the last state that the residual of its system does not show.  load_changed:
     whether that system is for a new load, so that its residual is no error of the state (`GapSteps`).
     """
 
     precision: Precision = np.float32
-    patience, most_steps = STEPS, 200
+    patience = STEPS
     spare = math.inf  # compliance: a pressure p counts as 0 in certificates, at a price, where g − λ > spare · p
     coarse_part = 0.05  # tolerance of a coarse grid over the error of its start: long waves left there cost most later
     inner: MeshResponse | FullResponse
@@ -129,7 +130,7 @@ class Relaxation:
         met_late, asked, can_widen = 0, tolerance, self.grid.storage is np.float64
         unseen = UNSEEN if can_widen else MOST_UNSEEN
         before, raised = math.inf, 1.0  # the last estimate; factor on estimates, since certificates were higher
-        for step in range(self.most_steps):
+        for step in range(MOST_STEPS):
             if precision is np.float64:
                 self.widen(state)
             system, self.enough = self.linearise(state, precision), tolerance

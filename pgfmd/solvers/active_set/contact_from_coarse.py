@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from pgfmd.errors import SolverError, Uncertifiable
+from pgfmd.errors import SolverError
 from pgfmd.grid.kernels import jit, u
 from pgfmd.grid.transfer import Interpolation
 from pgfmd.grid.transforms import sink, source
@@ -18,7 +18,7 @@ from pgfmd.solvers.active_set.active_set import Relaxation, State
 from pgfmd.solvers.active_set.balance import balanced
 from pgfmd.solvers.active_set.dual import GapSteps
 from pgfmd.solvers.active_set.feasible import scale_to_load
-from pgfmd.solvers.active_set.primal import LIGHTEST, Descent, PressureSteps
+from pgfmd.solvers.active_set.primal import LIGHTEST, PressureSteps
 from pgfmd.solvers.active_set.thin import ThinSteps, is_thin
 from pgfmd.solvers.active_set.unknowns import Fields
 from pgfmd.solvers.controls import stress_of_full_contact
@@ -179,31 +179,19 @@ class ActiveSetIteration(NestedIteration[State]):
         if is_thin(problem):
             steps = ThinSteps
         with balanced(problem, state, gaps=steps is GapSteps):
-            solver = self._relaxed(problem, state, steps, exact)
+            solver = steps(problem, exact)
+            try:
+                solver.relax(state, self.tolerance, self.watch(problem))
+            except SolverError as failure:
+                if shared(problem.grid.comm, failure):
+                    solver.free()
+                raise
+            solver.free()
         if exact:
             problem.grid.make_room()
             if problem.grid.storage is np.float64:
                 solver.widen(state)
         return state
-
-    def _relaxed(self, problem: ContactProblem, state: State, steps: type[Relaxation], exact: bool) -> Relaxation:
-        """Relaxes by these steps, at a given load by `Descent` if they fail.  Returns the freed solver.  Collective."""
-        solver, given = steps(problem, exact), problem.imposed is None
-        while True:
-            try:
-                solver.relax(state, self.tolerance, self.watch(problem))
-            except SolverError as failure:
-                if not shared(problem.grid.comm, failure):
-                    raise
-                solver.free()
-                lost = isinstance(failure, Uncertifiable) or isinstance(solver, Descent)
-                wide = problem.grid.storage is np.float64  # as the descent needs
-                if lost or not (given and wide and problem.grid.domain.wraps):
-                    raise
-                solver, state.clipped = Descent(problem, exact), False
-            else:
-                solver.free()
-                return solver
 
 
 solve_hard_wall = ActiveSetIteration.contact

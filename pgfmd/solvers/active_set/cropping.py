@@ -38,7 +38,6 @@ def solve_hard_wall(
     tolerance: float = 1e-8,
     start: np.ndarray | None = None,
     monitor: Monitor | None = None,
-    overwrite_heights: bool = False,
 ) -> ContactSolution:
     """The contact as `NestedIteration.contact` finds it, where possible on a rectangle.  Collective."""
     grid, found, begun, iterations, spent = problem.grid, None, time.perf_counter(), 0, 0.0
@@ -59,7 +58,7 @@ def solve_hard_wall(
             if not shared(grid.comm, failure):
                 raise
     if found is None:
-        found = ActiveSetIteration.contact(problem, tolerance, start, monitor, overwrite_heights)
+        found = ActiveSetIteration.contact(problem, tolerance, start, monitor)
         iterations, spent = iterations + found.iterations, spent + found.transforms
     return dataclasses.replace(found, iterations=iterations, transforms=spent, seconds=time.perf_counter() - begun)
 

@@ -31,11 +31,6 @@ LIGHTEST = 0.02  # least approach since first contact on coarse grids, whose hig
 MOVE_CUT = 0.1  # factor on the residual in the step that changes the load; .3 and .03 cost 1.5 and 3.5 % more in all
 NEAR_CUT = 0.5  # factor on the residual in the iteration that adapts a start
 
-# Of `Descent`.
-SIGNS_CUT = 1e-3  # factor on the residual in one step: signs of the solution decide, single precision has no more
-ENOUGH = 0.1  # a step beyond a bound is shortened if it gains less than this part of what the slope promises
-TRIALS = 4  # lengths that are tried before a step ends where the first point meets a bound
-
 
 class PressureSteps(Relaxation):
     """Relaxation that costs least where few points are in contact.  next_load: Σ p after the next step; 0: as is."""
@@ -186,59 +181,3 @@ class PressureSteps(Relaxation):
         """Adds a change (count,) to the pressure, and makes that feasible.  Collective."""
         points.add(state.pressure, change)
         self.feasible.make(self.problem, points, (state.pressure, state.gap))
-
-
-class Descent(PressureSteps):
-    """Relaxation in double precision by steps none of which raises the energy, for contacts on which larger ones go
-    round in circles; takes more fields.
-
-    Points that are released together may push each other back.  Here a step releases the points that their gap drives
-    away from a bound, and solves for them and for those between the bounds.  Released points that the solution drives
-    beyond their bound stay at it, and the rest is solved again.  In that direction the energy falls at least up to
-    where the first point meets a bound: no set comes twice (Nocedal and Wright 2006, section 16.5, with blocks of
-    points for single ones).
-    """
-
-    precision = np.float64
-    patience, most_steps = 60, 2000
-
-    def improve(self, state: State, system: ConjugateGradients, wanted: float, enough: float) -> None:
-        """A step shortened until it lowers the energy enough; `wanted` and `enough` do not matter.  Collective."""
-        reduction, pressure, gap = self.grid.reduction, state.pressure.copy(), state.gap - state.level
-        points, direction = self._direction(state)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            room = np.where(direction < 0, pressure / -direction, (self.highest - pressure) / direction)
-        room[direction == 0] = np.inf  # the step at which each point meets a bound
-        furthest, promised = reduction.min(room), -reduction.dot(gap, direction) / 2
-        step = 1.0
-        for trial in range(TRIALS + 1):
-            np.add(pressure, step * direction, out=state.pressure)
-            state.pressure[room <= step] = np.where(direction < 0, 0.0, self.highest)[room <= step]
-            self.feasible.make(self.problem, points, (state.pressure, state.gap))
-            if step <= furthest:
-                return
-            self.compute_gap(state, self.precision)
-            change = state.pressure - pressure
-            gain = -reduction.dot(gap + (state.gap - state.level), change) / 2
-            if gain >= ENOUGH * step * promised:
-                return
-            step = max(furthest, min(step / 4, math.sqrt(step * furthest))) if trial < TRIALS - 1 else furthest
-
-    def _direction(self, state: State) -> tuple[Unknowns, np.ndarray]:
-        """The unknowns, and the change (nx_local, ny) that makes the gap constant on them, by which all that are at a
-        bound leave it.  Collective.
-        """
-        pressure, gap, level = state.pressure, state.gap, state.level
-        # shown: the gap by which unknowns are chosen, infinite at points that stay at their bound
-        low, high, shown = pressure <= 0, pressure >= self.highest, gap.copy()
-        while True:
-            points = Unknowns(self.grid, (pressure, shown), level, self.highest)
-            system = ConjugateGradients(points.below(level, gap), self.inner.apply, self.preconditioner.apply)
-            change, steps = system.solve(SIGNS_CUT)
-            state.iterations += steps
-            direction = np.zeros_like(pressure)
-            points.add(direction, change)
-            back = low & (shown < level) & (direction <= 0) | high & (shown > level) & (direction >= 0)
-            if not self.grid.reduction.any(bool(back.any())):
-                return points, direction
-            shown[back] = np.where(low, np.inf, -np.inf)[back]
