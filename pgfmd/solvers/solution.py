@@ -128,11 +128,6 @@ class Patience:
         self.steps = self.left = steps
         self.best = math.inf
 
-    @property
-    def lost(self) -> int:
-        """Steps since the least error was halved."""
-        return self.steps - self.left
-
     def take(self, error: float, best: float | None = None) -> bool:
         """Counts a step; returns whether to go on.  best: the bound to report, where `error` is an estimate."""
         self.left = self.steps if error < 0.5 * self.best else self.left - 1

@@ -46,12 +46,9 @@ from pgfmd.solvers.solution import SOLVER_SHARE, STEPS, Patience, Precision, unc
 
 LEAST_CUT, MOST_CUT = 0.2, 0.14  # factor on the residual in one step, at errors above 4 % and below 2 %
 CUT_POWER = 0.7  # after a step with the factor f on the error, the next one takes f^0.7 or less on the residual
-# Part of the tolerance at which the last step aims: less in double precision, where one more costs twice as much.
-MARGIN: dict[Precision, float] = {np.float32: 0.4, np.float64: 0.15}
+MARGIN = 0.4  # part of the tolerance at which the last step aims
 WITHIN = 0.45  # a step aims at the tolerance if the factor for that is at least this part of the useful one
-LATE = 8  # steps at the tolerance that may be spent on meeting what is imposed
 MOST_STEPS = 200  # before giving up
-STUCK = 3  # steps without halving the least error, before double precision is taken
 WORST = 0.4  # largest error of a start that counts
 MOVED = 1e-4  # the same where an area or a gap is sought; at 1e-5 searches cost 5 % more
 ROUGH, LOOSER = 5e-3, 3  # error of a start from which roughness that only this grid resolves makes most of it
@@ -127,7 +124,7 @@ class Relaxation:
         Uncertifiable if that is due to rounding in the precision in which fields are stored.
         """
         precision, patience = self.precision, Patience(self.patience)
-        met_late, asked, can_widen = 0, tolerance, self.grid.storage is np.float64
+        asked, can_widen = tolerance, self.grid.storage is np.float64
         unseen = UNSEEN if can_widen else MOST_UNSEEN
         before, raised = math.inf, 1.0  # the last estimate; factor on estimates, since certificates were higher
         for step in range(MOST_STEPS):
@@ -144,20 +141,19 @@ class Relaxation:
             rounding = self.rounding_bound(state, precision) / (2 * state.energy) if state.energy > 0 else 0.0
             negligible = precision is np.float64 or rounding <= unseen * tolerance
             state.error = max(estimate, rounding)
-            ready = negligible and not self.load_changed and (self.met(state) or met_late > LATE)
+            ready = negligible and not self.load_changed and self.met(state)
             if self.exact and ready and estimate <= tolerance:
                 state.error = self.certify(state, system, precision)
-                raised *= max(1.0, state.error / (max(estimate, MARGIN[precision] * tolerance) or tolerance))
+                raised *= max(1.0, state.error / (max(estimate, MARGIN * tolerance) or tolerance))
             if monitor is not None:
                 monitor(state)
             if ready and state.error <= tolerance:
                 return state
-            met_late += negligible and state.error <= tolerance
             if precision is np.float64 and rounding > max(tolerance, estimate):
                 raise uncertifiable(rounding, tolerance)
             if not patience.take(estimate, state.error):
                 break
-            enough = MARGIN[precision] * tolerance / max(estimate, tolerance)
+            enough = MARGIN * tolerance / max(estimate, tolerance)
             wanted, before = self.next_cut(estimate, before, math.sqrt(enough)), estimate
             # Before rounding would show in the next estimate, precision changes.
             shows = rounding > unseen * max(tolerance, self.left(wanted, enough) * estimate)
@@ -166,7 +162,7 @@ class Relaxation:
                     f"the error cannot be certified below about {rounding / unseen / SOLVER_SHARE:.1e}, by rounding in "
                     'single precision; allow a larger tolerance, or take solver.storage = "float64"'
                 )
-            if shows or can_widen and patience.lost >= STUCK:
+            if shows:
                 precision = np.float64
             self.improve(state, system, wanted, enough)
         raise patience.failure(self.kind, self.grid, state.iterations, tolerance)

@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.active_set.active_set import CUT_POWER, Precision, Relaxation, State
+from pgfmd.solvers.active_set.active_set import Precision, Relaxation, State
 from pgfmd.solvers.active_set.conjugate_gradients import NEUTRAL, ConjugateGradients, Mean
 from pgfmd.solvers.active_set.feasible import Feasible
 from pgfmd.solvers.active_set.particle_mesh import MeshResponse, inner_response
@@ -26,7 +26,6 @@ CLOSE = 3e-5  # least part of the energy error that one step can leave: of the m
 LEAST_PART = 5e-5  # the least that the first of two steps aims at
 SURE = 0.005  # after a reduction of the energy error to this part or more, the mesh does not check the set
 NEAR = 3.0  # gap over the rms residual up to which the mesh updates gaps: points farther away did not come into contact
-MOST_LEFT = 0.5  # largest factor on the residual that is asked for once the mesh has updated the gap
 LIGHTEST = 0.02  # least approach since first contact on coarse grids, whose highest point is lower, over its height
 MOVE_CUT = 0.1  # factor on the residual in the step that changes the load; .3 and .03 cost 1.5 and 3.5 % more in all
 NEAR_CUT = 0.5  # factor on the residual in the iteration that adapts a start
@@ -133,8 +132,8 @@ class PressureSteps(Relaxation):
         if not isinstance(self.inner, MeshResponse) or self.highest < math.inf or system.square <= 0:
             self._solve(state, system, wanted)
             return
-        goal, failures = self.left(wanted, enough) * system.square, 0
-        while failures < 2:
+        goal = self.left(wanted, enough) * system.square
+        while True:
             square, wanted = system.square, max(wanted, math.sqrt(goal / system.square))
             change = self._solve_for_change(state, system, wanted)
             if goal > SURE * square and wanted**2 * square < 1.1 * goal:
@@ -147,10 +146,9 @@ class PressureSteps(Relaxation):
             self._respond(state, near, before)
             del near, before  # the next system needs their room
             system = self._system(state)
-            if system.square < 1.1 * goal:
+            if system.square < 1.1 * goal or system.square > square / 2:
                 return
-            failures += system.square > square / 2
-            wanted = min(MOST_LEFT, (system.square / square) ** CUT_POWER)
+            wanted = 0.0  # the next set is about right: all that is left is asked for
 
     def _respond(self, state: State, near: Unknowns, before: np.ndarray) -> None:
         """Adds to the gap of the points `near` the mesh's response to the change of their pressures, which were
