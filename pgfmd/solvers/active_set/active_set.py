@@ -93,9 +93,8 @@ class Relaxation:
     Attributes: highest, the largest pressure σ_Y; squares, Σ p² and Σ u² of the last response; heights_squared, see
     `Rounding.bound`, where p > 0; summit, the largest height.  precision: the one to begin with; patience: steps
     without halving the least error before giving up; enough: the error at which to end.
-    inner: the response between unknowns.  hidden:
-    twice the energy error of the last state that the residual of its system does not show.  load_changed:
-    whether that system is for a new load, so that its residual is no error of the state (`GapSteps`).
+    inner: the response between unknowns.  load_changed: whether the system of the last state is for a new load, so that
+    its residual is no error of the state (`GapSteps`).
     """
 
     precision: Precision = np.float32
@@ -103,7 +102,7 @@ class Relaxation:
     spare = math.inf  # compliance: a pressure p counts as 0 in certificates, at a price, where g − λ > spare · p
     coarse_part = 0.05  # tolerance of a coarse grid over the error of its start: long waves left there cost most later
     inner: MeshResponse | FullResponse
-    hidden = enough = 0.0
+    enough = 0.0
     load_changed = False
 
     def __init__(self, problem: ContactProblem, exact: bool = True) -> None:
@@ -132,8 +131,7 @@ class Relaxation:
                 self.widen(state)
             system, self.enough = self.linearise(state, precision), tolerance
             # Where the preconditioner is good, ½⟨r, Mr⟩ is .3 to .7 of the bound.
-            square = system.square + self.hidden
-            estimate = raised * square / (2 * state.energy) if state.energy > 0 else math.inf
+            estimate = raised * system.square / (2 * state.energy) if state.energy > 0 else math.inf
             if step == 0 and not self.exact:
                 tolerance = self.goal(estimate, tolerance, WORST if state.aim is None or state.clipped else MOVED)
             if self.imposed is not None and self.exact:

@@ -6,8 +6,7 @@ in a few iterations, as K falls off as r⁻³.  Then gaps below 0 are cut, and p
 
 Where a mean gap is imposed, Σ g is given instead of p̄: the equation holds up to a constant, which is the change of p̄.
 
-The certificate needs a feasible pressure.  `Settling` makes one, p + c.  Its gap is g + Gc.  So the energy ½⟨c, Gc⟩
-counts as error too, and most of it lies in waves that the residual on the open points does not show.
+The certificate needs a feasible pressure.  `settle` makes one, p + c.  Its gap is g + Gc.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.problem import Aim, ContactProblem, Measured
 from pgfmd.solvers.active_set.active_set import Precision, Relaxation, State
 from pgfmd.solvers.active_set.conjugate_gradients import FREE, NEUTRAL, ConjugateGradients
-from pgfmd.solvers.active_set.feasible import Settling
+from pgfmd.solvers.active_set.feasible import settle
 from pgfmd.solvers.active_set.particle_mesh import inner_response
 from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, Symbol, lattice_kernel, power_of
 from pgfmd.solvers.active_set.unknowns import Unknowns, add_points
@@ -32,9 +31,9 @@ DEEPER = 0.15  # factor on the cut of pressures as unknowns: an iteration costs 
 
 
 class GapSteps(Relaxation):
-    """Relaxation that costs least where most points are in contact.  mean: of h + g."""
+    """Relaxation that costs least where most points are in contact.  mean: of h + g; factor: of the last `settle`."""
 
-    mean, coarse_part = 0.0, 0.005
+    mean, coarse_part, factor = 0.0, 0.005, 1.0
     _gap_before: np.ndarray  # of the unknowns, before the last certificate
 
     def __init__(self, problem: ContactProblem, exact: bool = True) -> None:
@@ -42,12 +41,6 @@ class GapSteps(Relaxation):
         grid, solid = problem.grid, problem.solid
         self.inner = inner_response(grid, solid.half_space_stiffness, solid.stiffness, self.stiffness[np.float32])
         self.preconditioner = near_compliance(grid, solid.half_space_compliance)
-        self.settling = Settling(problem)
-
-    def free(self) -> None:
-        """Frees the transforms of the inner solver and of the settling.  Collective."""
-        super().free()
-        self.settling.free()
 
     def linearise(self, state: State, precision: Precision) -> ConjugateGradients:
         """Computes the pressure of the gap and settles it.  The system makes it vanish on the unknowns.  Collective."""
@@ -68,11 +61,12 @@ class GapSteps(Relaxation):
             self.grid.threads.deal(
                 lambda a, b: np.add(field[a:b], change, out=field[a:b], casting="same_kind"), len(field)
             )
-        work, self.squares[0], count = self.settling.settle(state.pressure, state.gap, self.problem.load)
+        fields = state.pressure, state.gap, self.heights
+        self.factor, work, self.squares[0], count = settle(self.grid, fields, self.problem.load)
         state.energy, state.load = (work - self.mean * self.problem.load) / 2, self.problem.load
         state.contact = state.between = count
-        state.level, self.hidden = 0.0, self.settling.energy()
-        pressure = self.next_pressure(state, system.square + self.hidden)
+        state.level = 0.0
+        pressure = self.next_pressure(state, system.square)
         self.load_changed = pressure > 0
         if self.load_changed:
             system.lower(pressure - self.problem.mean_pressure)
@@ -130,7 +124,7 @@ class GapSteps(Relaxation):
         self._gap_before = system.points.values(state.gap)
 
         def fill(first: int, stop: int, rows: np.ndarray) -> None:
-            self.settling.fill_change(state.pressure, first, stop, rows)
+            np.multiply(state.pressure[first:stop], 1 - 1 / self.factor, out=rows, casting="same_kind")
             add_points(system.residual.own, system.points.lists, first, rows)  # −p before settling, where that set 0
 
         def drain(first: int, stop: int, rows: np.ndarray) -> None:
