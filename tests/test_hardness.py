@@ -7,6 +7,7 @@ import pytest
 from conftest import whole
 from contacts import elastic, rough_on
 from job_texts import rough_job
+from mpi4py import MPI
 from reference import Contact, Real, Solid, Unable
 
 import pgfmd
@@ -14,7 +15,9 @@ from pgfmd.application.job import parse
 from pgfmd.application.results import Results
 from pgfmd.application.simulate import simulate
 from pgfmd.errors import InputError
+from pgfmd.grid.domain import OPEN
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.grid.transforms import sink, source
 from pgfmd.observables import contact as measuring
 from pgfmd.observables.contact_patches import ContactPatches
 from pgfmd.observables.rough_surface import RoughSurface
@@ -281,6 +284,30 @@ def test_displacements_beyond_full_yielding_are_refused(comm):
         assert 0.5 * law.hardness < found.mean_pressure < law.hardness
         with pytest.raises(InputError, match=rf"must be below {limit:g}, where all points yield"):
             control.solution(1.001 * limit)
+
+
+@pytest.mark.parametrize("thickness", [math.inf, 4.0])
+def test_an_open_patch_yields_as_a_whole_beyond_its_range_of_heights(comm, thickness):
+    """Under σ_Y everywhere an open patch is also displaced: the displacements of loads up to .98 σ_Y are met, and that
+    at which the last point touches, where the largest
+    of u − h is, is the first to be refused."""
+    grid, options = SlabGrid(comm, (9, 12)), {"boundary": "open", "comm": comm, "wall": Hardness(hardness=0.4)}
+    options["solid"] = elastic(1.0, thickness, "bonded", 0.25)
+    heights = 0.3 * np.random.default_rng(2).standard_normal((9, 12))
+    rows = heights[grid.rows]
+    for part in (0.3, 0.8, 0.98):
+        found = pgfmd.solve(rows, part * 0.4, tolerance=1e-11, **options)
+        again = pgfmd.solve(rows, displacement=found.displacement, **options)
+        assert again.mean_pressure == pytest.approx(found.mean_pressure, rel=3e-3)
+    patch = SlabGrid(MPI.COMM_SELF, (9, 12), domain=OPEN)
+    moved = patch.new_field()
+    response = options["solid"].apply_compliance(patch, np.float64, 1 / patch.modes)
+    patch.convolve(source(np.full((9, 12), 0.4)), response, sink(moved))
+    limit = np.max(moved - heights) + heights.max()
+    assert limit > 1.5 * np.ptp(heights)
+    with pytest.raises(InputError, match=rf"must be below {limit:g}, where all points yield"):
+        pgfmd.solve(rows, displacement=limit * (1 + 1e-9), **options)
+    assert pgfmd.solve(rows, displacement=0.999 * limit, **options).mean_pressure > 0.95 * 0.4
 
 
 def test_a_run_keeps_the_plastic_depth(comm, shared_tmp_path):

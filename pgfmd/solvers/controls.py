@@ -410,8 +410,23 @@ class Displacement(MeanGap):
         super().check_target(target)
         if (highest := self.problem.law.highest) < math.inf:
             limit = self.top - self.lowest + highest * self.mean_compliance
+            if target >= limit and not self.grid.domain.wraps:  # on a periodic cell a uniform pressure bends nothing
+                limit = self._open_limit(highest)
             if target >= limit:
                 raise InputError(f"load.displacement = {target:g}: must be below {limit:g}, where all points yield")
+
+    def _open_limit(self, pressure: float) -> float:
+        """Displacement of an open patch at which the last point touches, if all bear this pressure.  Collective."""
+        grid, heights, parts = self.grid, self.problem.heights, dict[int, float]()
+
+        def fill(first: int, stop: int, rows: np.ndarray) -> None:
+            rows[...] = pressure
+
+        def measure(first: int, stop: int, rows: np.ndarray) -> None:
+            parts[first] = float(np.max(rows - heights[first:stop]))
+
+        grid.convolve(fill, self.problem.solid.apply_compliance(grid, np.float64, 1 / grid.modes), measure)
+        return self.top + grid.reduction.max(np.array(list(parts.values())))
 
 
 CONTROLS: dict[str, type[Control]] = {
