@@ -173,6 +173,19 @@ def test_loads_and_gaps_of_a_formula(comm):
         LoadControl(Load(contact_area=(0.1,)), problem).check_targets((0.1,))
 
 
+@pytest.mark.parametrize("where", [{"thickness": 2.0, "poisson": 0.4}, {"boundary": "open"}])
+@pytest.mark.parametrize("far", [1e2, 1e9, 1e12])
+def test_a_displacement_keeps_its_digits_under_a_wall_that_is_felt_far_away(where, far):
+    """The load comes back from its displacement, wherever the wall ends: the search counts from there, but without
+    taking the difference of logarithms of numbers that are equal to nine digits."""
+    heights = 0.3 * np.random.default_rng(1).standard_normal((12, 12))
+    wall = {"kind": "formula", "pressure": "0.3 / (1 + gap)**3", "gaps": [-0.9, far]}
+    for load in (0.02, 0.4):
+        known = pgfmd.solve(heights, load, wall=wall, **where)
+        found = pgfmd.solve(heights, displacement=known.displacement, wall=wall, **where)
+        assert found.mean_pressure == pytest.approx(load, rel=1e-4)
+
+
 RANGES = {
     "0.5 / (1 + exp(3 * gap))": ((-10, 12), lambda p: 1 / (3 * (1 - 2 * p)), (1e-12, 0.49, 0.4999999)),
     "0.1 * (0.5 / gap)**9": ((0.05, 20), lambda p: 0.5 * (0.1 / p) ** (1 / 9) / 9, (1e-10, 0.1, 1e5)),

@@ -270,13 +270,12 @@ class MeanGap(Control):
 
     def distance(self, found: ContactSolution, target: float) -> float:
         """In ln((approach − begin)/(limit − approach)), or in the approach itself if the law has no ends."""
-        return self._coordinate(self.reached(found)) - self._coordinate(self.approach(target))
-
-    def _coordinate(self, approach: float) -> float:
+        approach = self.approach(target)
+        change = self.reached(found) - approach
         if math.isinf(self.begin):
-            return approach / (self.rms_height or self.problem.law.length_scale)
+            return change / (self.rms_height or self.problem.law.length_scale)
         left = self.limit - approach
-        return math.log(max(approach - self.begin, TINY)) - (math.log(max(left, TINY)) if left < math.inf else 0.0)
+        return _growth(approach - self.begin, change) - (_growth(left, -change) if left < math.inf else 0.0)
 
     def allowed(self, found: ContactSolution, target: float) -> float:
         """Tolerance of the approach at a solution near the target.
@@ -427,6 +426,13 @@ class Displacement(MeanGap):
 
         grid.convolve(fill, self.problem.solid.apply_compliance(grid, np.float64, 1 / grid.modes), measure)
         return self.top + grid.reduction.max(np.array(list(parts.values())))
+
+
+def _growth(length: float, change: float) -> float:
+    """ln((length + change)/length), to all digits also of a small change; lengths below TINY count as that."""
+    if abs(change) < abs(length) / 2:
+        return math.log1p(change / length)
+    return math.log(max(length + change, TINY)) - math.log(max(length, TINY))
 
 
 CONTROLS: dict[str, type[Control]] = {
