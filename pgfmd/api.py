@@ -153,6 +153,7 @@ def solve(  # type: ignore[misc]  # the overloads leave the names of the options
     own = _grid(comm, heights, spacing, threads, domain)
     _mend(own, heights, topography)
     grid = own if refine == 1 else own.like(comm, (refine * own.shape[0], refine * own.shape[1]), own.lengths)
+    options.check_domain(law, solid, domain)
     options.check_storage(law, solid, domain, grid.lengths, grid.spacing)
     if refine > 1:
         with own.freed(), grid.freed():  # so that no transforms stay if what follows is refused
@@ -242,6 +243,7 @@ def certify(
             raise InputError("pressure: all values must be finite")
         solid, law = _solid(contact_modulus, thickness, base, poisson, solid), _law(wall, zeta)
         domain = DOMAINS[checked("boundary", boundary, BOUNDARY)]
+        solid.check_domain(domain)
         mean = None if mean_pressure is None else checked("mean_pressure", mean_pressure, POSITIVE)
     agree(comm, (solid, law, mean, domain))
     grid = _grid(comm, heights, spacing, threads, domain)

@@ -98,6 +98,23 @@ def test_a_half_space_has_no_base(comm, base):
         parse(f'grid.n = 4\nsurface = {{kind = "paraboloid", radius = 1}}\nload.pressure = 1\n{solid}')
 
 
+@pytest.mark.parametrize("wall", [{"kind": "hard"}, {"kind": "adhesive", "work": 0.2, "range": 0.8}])
+@pytest.mark.parametrize(
+    ("solid", "reason"),
+    [({"kind": "homogeneous", "thickness": 3.0, "base": "free"}, "on a free base a slab has no approach"),
+     ({"kind": "table", "path": "factor.csv"}, "its kernel on a patch is not known")],
+)  # fmt: skip
+def test_a_solid_without_a_response_on_a_patch_is_refused(comm, wall, solid, reason):
+    """In one line, whatever the wall, and of a pressure that is to be certified: before anything is read or solved."""
+    heights = np.random.default_rng(0).standard_normal((8, 6))[slab(8, comm.size, comm.rank)]
+    options = {"boundary": "open", "comm": comm, "wall": wall, "solid": {"contact_modulus": 1.0} | solid}
+    message = rf'grid.boundary = "open": not with solid.kind = "{solid["kind"]}": {reason}'
+    with pytest.raises(pgfmd.InputError, match=message):
+        pgfmd.solve(heights, 0.01, **options)
+    with pytest.raises(pgfmd.InputError, match=message):
+        pgfmd.certify(heights, np.maximum(heights, 0), **options)
+
+
 @pytest.mark.parametrize("base", ["bonded", "free", "sliding"])
 def test_a_slab_too_thin_for_doubles_is_refused(comm, base):
     """Its stiffness leaves the range of single precision, and then that of doubles: the line names the thickness."""

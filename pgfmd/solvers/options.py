@@ -146,9 +146,9 @@ class Solver(Section):
         """Raises InputError for what cannot be solved on that domain."""
         if domain.wraps:
             return
+        solid.check_domain(domain)
         method = law.methods[0] if self.method == "auto" else self.method
         for reason in (
-            solid.no_border and f"solid.kind = {show(solid.kind)}: {solid.no_border}",
             method == "gfmd" and f'wall.kind = {show(law.kind)} by "gfmd": dynamics move the surface outside too',
             self.transform == "mpi4py-fft" and 'solver.transform = "mpi4py-fft": it does not pad; take "blocked"',
         ):

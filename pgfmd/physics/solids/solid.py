@@ -24,6 +24,7 @@ from pgfmd.options.text import show
 
 if TYPE_CHECKING:
     from pgfmd.grid.cell import Cell
+    from pgfmd.grid.domain import Domain
     from pgfmd.grid.slab_grid import SlabGrid
     from pgfmd.grid.transforms import ColumnAction
 
@@ -88,6 +89,11 @@ class Solid(Section):
     def no_border(self) -> str:
         """Why boundaries cannot be open with this solid; "" if they can."""
         return "its kernel on a patch is not known"
+
+    def check_domain(self, domain: Domain) -> None:
+        """Raises InputError if its boundaries are open, but cannot be with this solid."""
+        if self.no_border and not domain.wraps:
+            raise InputError(f'grid.boundary = "open": not with solid.kind = {show(self.kind)}: {self.no_border}')
 
     @property
     def only_inwards(self) -> bool:
