@@ -440,6 +440,13 @@ def test_a_coarse_process_zone_is_warned_of(caplog):
         assert ("process zone" in caplog.text) is warned
 
 
+def test_the_points_that_a_process_zone_needs_are_those_of_both_sides(caplog):
+    """Of a cell of 64 × 16 and a zone of 3, two pixels of at most 1.5 each, along x and along y."""
+    heights = 0.1 * np.cos(2 * np.pi * np.arange(64) / 64)[:, None] * np.ones(8)
+    pgfmd.solve(heights, mean_gap=3.0, spacing=(1.0, 2.0), wall=AdhesiveWall(work=1 / 3, range=1.0))
+    assert "2 need grid.n = [43, 11]:" in caplog.text
+
+
 WRONG = {
     "contact_area": ({"load": {"contact_area": 0.1}}, "contact_area .* not monotonic"),
     "pixel": ({"wall": {"kind": "adhesive", "work": 9.0, "range": 1.0}}, r"process zone .* grid.n = \d+"),

@@ -17,6 +17,7 @@ from functools import partial
 import numpy as np
 
 from pgfmd.errors import InputError, SolverError
+from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.options.text import show
 from pgfmd.physics.laws.adhesive_laws import AttractiveWall, Dugdale, RangedWall
 from pgfmd.physics.laws.hard import HardWall
@@ -43,6 +44,7 @@ LESS = 0.7  # a guess of θ, over that of the last contact
 WORSE = 2.0  # bound of the energy error over the estimate, at first
 LESSER, TRIES = 4.0, 3  # divides a guess of θ that was too large; how often
 MOST = 1e60, 1e10  # load over the largest attraction; displacement over `apart`: more leaves them no digits
+ROUNDING = 1e-6  # a part of a point, by which numbers of points may be too large
 COLD, FOLLOWED, PROBED = range(3)
 NONE = np.empty(0)
 Point = tuple[float, AdhesiveState]  # a target and its contact
@@ -378,8 +380,8 @@ def resolved(problem: ContactProblem, law: AttractiveWall) -> float:
     """
     modulus, pixel, (reach, stress) = problem.solid.contact_modulus, max(problem.grid.spacing), law.units
     zone, alone = law.process_zone(modulus), problem.grid.comm.rank == 0
-    points = np.ceil(WARNED * max(problem.grid.shape) / (zone / pixel)) if zone else math.inf
-    text = f"wall: the process zone ρ²E'/w = {zone:.3g} is {zone / pixel:.2g} pixels; 2 need grid.n = {points:.9g}"
+    points = _points(problem.grid, WARNED / (zone / pixel) if zone else math.inf)
+    text = f"wall: the process zone ρ²E'/w = {zone:.3g} is {zone / pixel:.2g} pixels; 2 need grid.n = {points}"
     if zone < REFUSED * pixel and not law.unresolved:
         raise InputError(f"{text}; below {REFUSED:g} the grid pins contact edges (wall.unresolved = true: solve)")
     if zone < WARNED * pixel and alone:
@@ -391,14 +393,22 @@ def resolved(problem: ContactProblem, law: AttractiveWall) -> float:
     mu, near = adhesion.transition(stress / modulus, 1.0, radius / reach, 1.0), reach * math.sqrt(2 * radius / reach)
     if mu <= 1 and near < NEAR_PIXELS * pixel and alone:
         log.warning(
-            "wall: with μ_T = %.2g, summits attract within √(2Rρ) = %.3g, %.2g pixels; %g need grid.n = %d: "
+            "wall: with μ_T = %.2g, summits attract within √(2Rρ) = %.3g, %.2g pixels; %g need grid.n = %s: "
             "pull-off forces err by 6 %% at 2 pixels, by 8 to 40 %% at 1",
-            mu, near, near / pixel, NEAR_PIXELS, math.ceil(NEAR_PIXELS * max(problem.grid.shape) / (near / pixel)),
+            mu, near, near / pixel, NEAR_PIXELS, _points(problem.grid, NEAR_PIXELS / (near / pixel)),
         )  # fmt: skip
     found = adhesion.stickiness(stress / modulus, 1.0, slope, bend * reach, 1.0)
     if alone:
         log.info("wall: stickiness criterion of Pastewka and Robbins %.3g; rough surfaces stick below 1", found)
     return found
+
+
+def _points(grid: SlabGrid, factor: float) -> str:
+    """The points of a grid whose pixels are so many times smaller than the longer sides of these: one number, or both
+    where they differ.
+    """
+    counts = [np.ceil(factor * length / max(grid.spacing) - ROUNDING) for length in grid.lengths]
+    return f"{counts[0]:.9g}" if counts[0] == counts[1] else f"[{counts[0]:.9g}, {counts[1]:.9g}]"
 
 
 def solve_adhesive(
