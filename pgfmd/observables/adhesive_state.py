@@ -13,7 +13,7 @@ from pgfmd.physics.laws.law import ContactLaw
 from pgfmd.physics.solids.solid import Solid
 
 COLUMNS = {
-    "energy": Dataset("{pressure}*{length}", "elastic energy and that of the attraction, per area of the cell"),
+    "energy": Dataset("{pressure}*{length}", "elastic_energy and that of the attraction, per area of the cell"),
     "energy_drop": Dataset("{pressure}*{length}", "energy per area lost in jumps since the last load"),
     "jump_from": Dataset("as asked", "last target of the branch before it jumped to this one; NaN: it did not"),
     "jump_to": Dataset("as asked", "first target after the jump"),

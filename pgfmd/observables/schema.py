@@ -56,7 +56,9 @@ LOADS: dict[str, Dataset] = {
     "displacement": Dataset(
         "{length}", "approach of the solid's far side from where the flat solid touches the summit"
     ),
-    "elastic_energy": Dataset("{pressure}*{length}", "elastic energy per area of the cell"),
+    "elastic_energy": Dataset(
+        "{pressure}*{length}", "elastic energy per area of the cell, without a periodic slab's mean compression"
+    ),
     "certified_error": Dataset("1", "upper bound of the energy error over twice the elastic energy"),
     "pressure_error": Dataset("1", "estimated rms error of the pressure over its rms value; NaN: none is known"),
     "max_violation": Dataset("1", "largest of |gap| in contact and penetration outside, over the rms height"),

@@ -51,7 +51,9 @@ class Solid(Section):
     lame_lambda: float | None = key(number(), about="λ, with lame_mu", unit="pressure")
     lame_mu: float | None = key(POSITIVE, about="μ", unit="pressure")
     young: float | None = key(POSITIVE, about="E, with poisson", unit="pressure")
-    poisson: float | None = key(POISSON, about="ν", unit="1", example=0.25)
+    poisson: float | None = key(
+        POISSON, about="ν, without a default; slabs, layers, stresses and partial slip need it", unit="1", example=0.25
+    )
     contact_modulus: float = key(
         POSITIVE, about="E' = E/(1 − ν²); 1: pressures are in units of E'", unit="pressure", example=1.0
     )
