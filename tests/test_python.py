@@ -159,6 +159,17 @@ def test_results_can_be_iterated_joined_and_shown(results):
     assert Runs([]).to_dataframe().empty
 
 
+def test_a_group_that_is_not_there_is_named_with_those_that_are(results):
+    """One line says what the load has, and how to read a field that is taken for a group."""
+    load = results[0]
+    for name in ("gap", "contact"):
+        with pytest.raises(KeyError) as caught:
+            load[name]
+        message = caught.value.args[0]
+        assert message.startswith(f"load 0 has no {name}, but ") and all(group in message for group in load)
+        assert ("field('gap')" in message) is (name == "gap")
+
+
 def test_fields_have_named_axes(comm, heights, results):
     """xarray of a contact and of a load of the run: x and y in lengths, the same fields."""
     pytest.importorskip("xarray")

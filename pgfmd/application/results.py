@@ -232,6 +232,9 @@ class LoadResults(Mapping[str, Mapping[str, np.ndarray]]):
         self.results, self.index, self._name = results, index, load_name(index)
 
     def __getitem__(self, title: str) -> Mapping[str, np.ndarray]:
+        if title not in self:
+            hint = f"; the field is field({title!r})" if title in FIELDS else ""
+            raise KeyError(f"load {self.index} has no {title}, but {', '.join(self) or 'no groups'}{hint}")
         with self.results._open(OBSERVABLES_FILE) as file:
             with self.results.group(file[self._name], title) as group:
                 return self.results._modern(title, {key: dataset[()] for key, dataset in group.items()})
