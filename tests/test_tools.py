@@ -58,6 +58,7 @@ RUNS = {  # sections of the job; n, observables and fields by themselves
     "file": {"surface": IN_FILE}, "soft file": {"surface": IN_FILE} | SOFT,
     "sinusoid": {"surface": {"kind": "sinusoid", "amplitude": 0.1, "waves": 2}},
     "paraboloid": {"surface": {"kind": "paraboloid", "radius": 100.0}, "load": {"pressure": [1e-4, 1e-3]}},
+    "profile": {"surface": {"kind": "sinusoid", "amplitude": 0.1, "waves": 2}, "n": [48, 1]},
     "no patches": {"keep": ("histogram", "spectra"), "fields": ()}, "one load": {"load": ONE},
     "none to full": {"load": {"pressure": [0.0, 0.003, 0.3]}}, "areas": {"load": {"contact_area": [0.04, 0.08]}},
     "adhesive": {"wall": {"kind": "adhesive", "work": 0.02, "range": 1.0}, "n": 32, "keep": (),
@@ -328,6 +329,7 @@ KINDS = {
     ("kept",): GENERAL,
     ("nothing",): {"area_load", "overview", "contact_stiffness", "dependence"},
     ("none to full",): GENERAL,
+    ("profile",): GENERAL - {"autocorrelations", "correlation_decay"},
     ("soft1", "soft2"): SOFT_ONES,
     ("following",): {"area_load", "overview", "contact_stiffness", "autocorrelations", "correlation_decay",
                      "dependence", *FOLLOWING},
@@ -346,7 +348,7 @@ KINDS = {
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("names", broad([(names,) for names in KINDS], 4), ids="+".join)
+@pytest.mark.parametrize("names", broad([(names,) for names in KINDS], 5), ids="+".join)
 def test_every_figure_on_every_kind_of_run(runs, names):
     """A figure is drawn, with curves, or refuses in one line that says what is missing; nothing warns."""
     for figure in figures.FIGURES:

@@ -14,7 +14,7 @@ CAPTION = """(a) Autocorrelation of the stress over σ_c², beside that of the c
 that (the approximate form of its upper one) and m₂ times that, with the measured m₂. (b) Their ratio, with 1 and 2, and
 its value m₂ at Δr = 0. Dotted, upright: λ_s/8. Bars: standard error over seeds. At large Δr both tend to the square of
 the mean, up to the noise of one cell."""
-NEEDS = ("correlations", "area")
+NEEDS = ("correlations", "area", "two dimensions")
 OPTIONS = {"--area": {"type": float, "help": "the load near this contact area (default: the last)"}}
 MARKS = (0.0, 1 / 8, 1 / 2, 1.0, 4.0)  # distances in λ_s whose ratio is reported
 

@@ -19,6 +19,7 @@ NEEDS: dict[str, tuple[Callable[[Load], bool], str]] = {
         lambda load: "stress_acf" in load.kept or ("pressure" in load.fields and load.law == "hard"),
         'observable "acf", or (hard walls) field "pressure"',
     ),
+    "two dimensions": (lambda load: min(load.results.shape) > 1, "more than one point along x and along y"),
     "patches": (lambda load: "patches" in load.kept, 'observable "patches"'),
     "bearing": (lambda load: "bearing_spectrum" in load.kept, 'observables "spectra" and "bearing"'),
     "height": (lambda load: "height" in load.fields, 'field "height"'),

@@ -16,7 +16,7 @@ from samples import Ensemble, common_bins, ensembles
 CAPTION = """Autocorrelation of the contact less its limit at large distance, over its value at zero. Full lines: power
 laws fitted over the range that they span, with their exponents ν. Dashed: the correlation of a spectrum q^(−1−H) in
 the same cell, which falls as Δr^(−(1−H)) in an infinite one. Bars: standard error over seeds."""
-NEEDS = ("correlations", "partial contact")
+NEEDS = ("correlations", "partial contact", "two dimensions")
 OPTIONS = AREAS | {
     "--window": {"type": float, "nargs": 2, "metavar": ("FROM", "TO"), "help": "fit range in Δr/λ_s (default 4 64)"},
 }

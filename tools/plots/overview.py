@@ -84,7 +84,9 @@ def draw_surface(sheet: Sheet, panel: int, load: Load):
     height = thinned(load, "height")
     light = LightSource(azdeg=135, altdeg=40)
     span = np.ptp(height) or 1.0
-    shaded = 0.6 * (height - height.min()) / span + 0.4 * light.hillshade(height.T, vert_exag=60 / span).T
+    shaded = 0.6 * (height - height.min()) / span
+    if min(height.shape) > 1:  # a profile has no slope across
+        shaded += 0.4 * light.hillshade(height.T, vert_exag=60 / span).T
     show_field(sheet, panel, load, shaded, cmap="gray", vmin=-0.1, vmax=1)
     if "pressure" not in load.fields:
         return
