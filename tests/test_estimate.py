@@ -11,7 +11,7 @@ from conftest import ROOT, broad
 from job_texts import rough_job
 
 import pgfmd
-from pgfmd.application import estimate, job
+from pgfmd.application import estimate, job, machine
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.grid_cost import holders, largest_shares
 from pgfmd.grid.slab_grid import SlabGrid
@@ -107,6 +107,16 @@ def test_contacts_of_bodies_are_explored(radius):
     assert found.part == pytest.approx(min((2 * np.sqrt(2 * cropping.MARGIN) * radius) ** 2, 1), rel=0.15)
     assert (plan.bytes_per_point() < 0.9 * unknown.bytes_per_point()) == (found.part < 0.5)
     assert estimate.WORTH == cropping.WORTH
+
+
+def test_a_run_explores_what_would_be_too_large(monkeypatch):
+    """A small contact on a large patch is refused neither by `check` nor by a run, which explores it only then."""
+    asked = job.parse(sphere_text(8192, 0.05))
+    unknown, known = (make(asked).estimate(1).node for make in (estimate.Plan, estimate.explored))
+    for memory, expected in ((2 * unknown, unknown), (1.1 * known, known)):
+        monkeypatch.setattr(machine, "largest_memory", lambda memory=memory: memory)
+        assert machine.memory_per_rank(asked, ALONE) == expected
+        machine.refuse_too_large(ALONE, expected)
 
 
 def test_nodes_hold_what_their_ranks_hold():

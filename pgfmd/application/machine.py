@@ -18,7 +18,7 @@ from pathlib import Path
 
 from pgfmd import __version__
 from pgfmd.application import hdf5_slabs
-from pgfmd.application.estimate import Plan
+from pgfmd.application.estimate import Plan, explored
 from pgfmd.application.files import FORMAT_VERSION
 from pgfmd.application.job import Job
 from pgfmd.errors import InputError
@@ -147,9 +147,18 @@ def room_per_rank(comm: MPI.Comm) -> float:
 
 
 def memory_per_rank(job: Job, comm: MPI.Comm, room: float = math.inf) -> float:
-    """Bytes of a job on the fullest node, divided by its ranks; `room` as of `Plan.estimate`.  Collective."""
-    fullest = max(count for _, count, _ in _nodes(comm))
-    return from_root(comm, Plan(job).estimate, comm.size, room, fullest).node / fullest  # may read the surface's table
+    """Bytes of a job on the fullest node, divided by its ranks; `room` as of `Plan.estimate`.  Collective.
+
+    Where these are too many for a node, the reach of the contact is explored, as `pgfmd check` does.
+    """
+    nodes = _nodes(comm)
+    fullest, least = max(count for _, count, _ in nodes), min(largest / count for _, count, largest in nodes)
+
+    def need() -> float:  # may read the surface's table
+        each = Plan(job).estimate(comm.size, room, fullest).node / fullest
+        return each if each <= TOO_MUCH * least else explored(job).estimate(comm.size, room, fullest).node / fullest
+
+    return from_root(comm, need)
 
 
 def refuse_too_large(comm: MPI.Comm, per_rank: float) -> None:
