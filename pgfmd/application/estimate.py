@@ -23,6 +23,7 @@ from pgfmd.solvers.options import cost as solver_cost
 FIELDS = 3.0  # heights, pressure and gap
 PLASTIC_BYTES = 8.0  # per grid point under limited hardness: plastic depth
 BASE_BYTES = 2.1e8  # of a rank before it has a grid: interpreter, MPI, libraries, compiled code (Debian 12, x86-64)
+OPEN_BASE_BYTES = 3.5e7  # beside that, with open boundaries: fitted to 1024² to 8192²
 LIBRARY_BYTES = 1.2e8  # of these, what all ranks of a node share
 AGGREGATION_BYTES = 2**25  # buffer in which one rank gathers a field while all write it (OMPIO's default)
 AREA_EXCESS = 0.22  # of self-affine surfaces at small loads: κ = 1.95 (H = 0.8), in Persson's theory √(8/π) = 1.60; − 1
@@ -35,6 +36,9 @@ START = 1.0  # seconds until a run has read its job, on 1 and 2 ranks of the sam
 PER_LOAD = 0.03  # seconds of a load on the smallest grid: solving .003, measuring .024, writing .003
 BESIDES = 2.0, 1.0  # time in transforms: to measure a contact's area and line; to make heights
 SLAB_GAIN = 0.8  # speed of ranks that share a surface over that of as many with a surface each (README: two, 1.59/2)
+# Time of a solve at other tolerances: at 1e-4, 1e-6, 1e-10, 1e-12 .5, .7, 1.3 and 1.7 times that at 1e-8 (1536², hard
+# wall, periodic and open; counts of Newton's method and of the dynamics alike).
+USUAL_TOLERANCE, DIGITS = 1e-8, 1.2
 THIN_WORK = 10.0  # work on a thin solid over that on a half-space: 256², free slabs of .03 to .1 of the cell
 LEAST_SLAB = 2**16  # points of a slab below which further ranks gain nothing
 # Work until a target is met, over that of a given pressure: under a hard wall as measured at 512² … 4096², 1 for walls
@@ -53,12 +57,15 @@ OPEN_AREA = 0.45  # assumed with open boundaries where it is not known: between 
 TABLE_BYTES = 8.0  # per mode in a quarter of the torus: the compliance
 # Of `explored`: most points along a side, most contacts, most points of a file that it reads.
 COARSE, MOST_LOADS, MOST_POINTS = 128, 16, 2**24
-# A contact that is solved on a rectangle: bytes per point of the patch, of the rectangle; transforms for the rest.
+# A contact that is solved on a rectangle: bytes per point of the patch, beside the torus, of the rectangle; transforms
+# for the rest.
 WHOLE_BYTES, RECTANGLE_BYTES, OUTSIDE = 27.0, (55.0, 16.0), 2.0
 RETURNED = 2**25  # bytes of an array from which glibc returns its memory to the system, not to the next array
 MEASURING_BYTES = 38.0  # per point, before a contact is solved: heights, their slopes, strips
 WORTH = 0.5  # largest part of the patch to which a solve is restricted (`solvers.active_set.cropping`)
-PADDED = 1.1  # memory of strips of patch and mesh in single precision, as measured on whole runs, over padded strips
+# Memory of strips of patch and mesh over padded strips in double precision, as measured on whole runs; of hard walls
+# where the system takes back arrays in single precision (4096² and 8192², contact areas from .006 to .83).
+PADDED = 1.1, 0.45
 # Per point, where the load is not given: by one solution (8192²: areas 1.2, gaps and displacements less); by several, a
 # mask, and the pressure that starts the next one.
 AIMED_BYTES, SEARCH_BYTES = 1.2, 5.0
@@ -105,8 +112,8 @@ class Plan:
         fields = sum(1 if name == "height" else loads for name in job.output.fields)
         seconds = self._work() * points * SECONDS_PER_POINT / gain(ranks) + PER_LOAD * loads
         return Estimate(
-            memory=BASE_BYTES + rank,
-            node=LIBRARY_BYTES + here * (BASE_BYTES - LIBRARY_BYTES) + -(-here // ranks) * node,
+            memory=self.base + rank,
+            node=LIBRARY_BYTES + here * (self.base - LIBRARY_BYTES) + -(-here // ranks) * node,
             files=surfaces * fields * points * np.dtype(job.output.precision).itemsize,
             seconds=START + -(-surfaces // groups) * seconds,
         )
@@ -114,14 +121,16 @@ class Plan:
     def _work(self) -> float:
         """Pairs of transforms that one surface takes, or that take as long as what else is done."""
         job, control, wraps = self.job, self.job.imposed.control, self.job.cell.domain.wraps
-        if control == "mean_gap" and not wraps:
-            search = OPEN_GAP_WORK
-        elif self.sticks:
+        if self.sticks:
             search = 1.0
+        elif control == "mean_gap" and not wraps:
+            search = OPEN_GAP_WORK
         else:
             known = self.one_solution or control in ("pressure", "percolation")
             search = SEARCH_WORK[control] if known else SOLUTIONS_WORK
+        digits = 1.0 if self.sticks else math.log(job.solver.tolerance) / math.log(USUAL_TOLERANCE)
         solving = np.mean([cost.transforms for cost in self.solving_costs()]) * job.solid.effort * search
+        solving *= digits**DIGITS
         if job.wall.kind == "hard" and job.solid.softest(job.cell.lengths, job.cell.spacings) < SOFT:
             solving *= THIN_WORK
         measuring = BESIDES[0] + sum(cost.transforms for cost in self.measuring_costs())
@@ -167,7 +176,7 @@ class Plan:
         def fits(groups: int) -> bool:
             narrow, wide = ranks // groups, -(-ranks // groups)  # ranks of a group
             most = self._peak(largest_shares((nx, ny), narrow), self.bytes_per_point(), 1)
-            return wide <= nx and BASE_BYTES + most <= room
+            return wide <= nx and self.base + most <= room
 
         most = min(ranks, surfaces)
         # If nothing fits, one group takes least memory on each rank; it needs a row for each.
@@ -192,8 +201,7 @@ class Plan:
     @property
     def one_solution(self) -> bool:
         """Whether what is imposed is met by one solution, not by a search over loads."""
-        hard = self.job.wall.kind == "hard" and self.job.solver.method in ("auto", "active-set")
-        return hard and self.job.imposed.control != "percolation"
+        return self.hard and self.job.imposed.control != "percolation"
 
     @property
     def sticks(self) -> bool:
@@ -207,6 +215,16 @@ class Plan:
         # slope × spacing and slope × length bound the rms height of a surface with mean 0
         moderate = 5 / MODERATE < slope * min(cell.spacings) and slope * max(cell.lengths) < MODERATE
         return self.job.wall.reach > 0 or not (surface.centred and moderate)
+
+    @property
+    def hard(self) -> bool:
+        """Whether the active set solves it, under a wall of unlimited hardness."""
+        return self.job.wall.kind == "hard" and self.job.solver.method in ("auto", "active-set")
+
+    @property
+    def base(self) -> float:
+        """Bytes of a rank before it has a grid."""
+        return BASE_BYTES + OPEN_BASE_BYTES * (not self.job.cell.domain.wraps)
 
     def bytes_per_point(self, slabs: int = 1) -> float:
         """Bytes per grid point at the peak of solving and measuring, on the fullest of so many slabs."""
@@ -222,9 +240,13 @@ class Plan:
             measuring = MEASURING_BYTES + max((cost.memory for cost in self.measuring_costs()), default=0.0)
             return max(measuring, WHOLE_BYTES + most.torus + kept * most.part)
         workspace = WORKSPACE[job.solver.transform] * torus[1] / job.cell.n[1]
+        least = 0.0
         if not job.cell.domain.wraps:
-            workspace = PADDED * workspace + TABLE_BYTES * torus[0] * torus[1] / (4 * math.prod(job.cell.n))
-        return kept + workspace + max(cost.memory for cost in costs)
+            table = TABLE_BYTES * torus[0] * torus[1] / (4 * math.prod(job.cell.n))
+            least = (WHOLE_BYTES + workspace / 2 + table) * self.hard  # the gap of the whole patch
+            returned = self.hard and 4 * math.prod(job.cell.n) >= RETURNED
+            workspace = PADDED[int(returned)] * workspace + table
+        return max(least, kept + workspace + max(cost.memory for cost in costs))
 
     def solving_costs(self, slabs: int = 1) -> list[Cost]:
         """What each load costs to solve; memory of the fullest of so many slabs."""
@@ -291,7 +313,7 @@ class Plan:
             "seeds": f"{len(job.surface.seeds)}, {self.rank_groups(ranks)} at a time" if job.surface.seeds else "",
             "loads": f"{loads} by {job.load.control}" + f"; contact area unknown, {OPEN_AREA} assumed" * unknown,
             "memory": f"about {readable(total.node)} on a node of {counted(here, 'rank')} "
-            f"({readable(BASE_BYTES)} for each rank, of which {readable(LIBRARY_BYTES)} are shared, and "
+            f"({readable(self.base)} for each rank, of which {readable(LIBRARY_BYTES)} are shared, and "
             f"{self.bytes_per_point():.0f} bytes per grid point)",
             "of a rank": f"up to {readable(total.memory)}, memory shared within a node included" * (ranks > 1),
             "files": readable(total.files),
