@@ -14,7 +14,7 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.cropping import solve_hard_wall
 from pgfmd.solvers.adhesive_branch import solve_adhesive
 from pgfmd.solvers.exponential_wall.newton_from_coarse import solve_exponential_wall
-from pgfmd.solvers.gfmd import solve_gfmd
+from pgfmd.solvers.gfmd import RESCUE, solve_gfmd
 from pgfmd.solvers.options import Solver
 from pgfmd.solvers.solution import ContactSolution, Monitor
 
@@ -26,7 +26,6 @@ SOLVERS: dict[str, Callable[..., ContactSolution]] = {
 }
 SMALLEST = 1e-290  # least sum of a start: the load over it does not overflow
 LEFT = 1e-12, 1e-9  # parts of p̄: pressures below them are taken off points in turn, until the rest is certified
-RESCUE = 4000  # steps of dynamics after another method has failed; most contacts take 150 (`options.cost`)
 log = logging.getLogger("pgfmd")
 
 
@@ -39,8 +38,8 @@ def solve_contact(
     """The contact, solved by the method and to the tolerance of the options.  Collective.
 
     start: a pressure (nx_local, ny) to begin with instead of coarse grids; it is ignored if its sum is 0 or not finite.
-    If the method fails, it is tried once more without the start; if that fails, the method is "auto" and fields are in
-    double precision, dynamics are tried (neither if rounding alone keeps the error above the tolerance).
+    If the method fails, it is tried once more without the start; if the active set then fails, the method is "auto" and
+    fields are in double precision, dynamics are tried (neither if rounding alone keeps the error above the tolerance).
     monitor(grid, state): called after outer steps.  Raises InputError for a method that the law does not take and for
     values out of range, SolverError if the tolerance cannot be reached.
     """
@@ -55,8 +54,8 @@ def solve_contact(
         if method != "active-set":
             raise SolverError(f"{method} needs a given mean pressure")
         return solve_hard_wall(problem, options.tolerance, start, monitor)
-    rescued = options.method == "auto" and "gfmd" in problem.law.methods and problem.grid.domain.wraps
-    rescued &= problem.grid.storage is np.float64
+    rescued = options.method == "auto" and method == "active-set" and problem.grid.domain.wraps
+    rescued &= "gfmd" in problem.law.methods and problem.grid.storage is np.float64
     limit = {"max_steps": options.max_iterations} if options.max_iterations else {}
     solver = partial(SOLVERS[method], problem, monitor=monitor, **limit)
     try:

@@ -29,6 +29,7 @@ from pgfmd.solvers.solution import ContactSolution, Monitor
 
 INERTIA, INTERVAL = 1.8, 10
 """Factor on each step (over-relaxation); steps between certificates, each of which costs a convolution."""
+RESCUE = 4000  # steps after another method has failed; most contacts take 150 (`options.cost`)
 
 
 def solve_gfmd(

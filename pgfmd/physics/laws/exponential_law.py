@@ -120,6 +120,14 @@ class ExponentialWall(ContactLaw):
     def softer(self, factor: float) -> ExponentialWall:
         return dataclasses.replace(self, zeta=self.zeta * factor)
 
+    def gap_and_slope(self, pressure: np.ndarray, gap: np.ndarray, slope: np.ndarray) -> None:
+        """As `ContactLaw.gap_and_slope`; where p underflows, the gap from which on it does."""
+        with np.errstate(divide="ignore"):
+            np.log(pressure, out=gap)
+        np.maximum(gap, -UNDERFLOW, out=gap)
+        gap *= -self.zeta
+        np.divide(pressure, self.zeta, out=slope)
+
     def respond(self, target: np.ndarray, pressure: np.ndarray, compliance: float, level: float) -> tuple[float, float]:
         """p with compliance · p + ζ ln p = target + level."""
         b = self.zeta / compliance

@@ -83,7 +83,7 @@ class ContactLaw(Section):
 
     @property
     def length_scale(self) -> float:
-        """The length by which Newton's method divides gaps: that of the law, if it has a single one, else the unit."""
+        """The length of the law, if it has a single one, else the unit."""
         return 1.0
 
     def softness(self, pressure: np.ndarray) -> float:
