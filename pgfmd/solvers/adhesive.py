@@ -25,7 +25,7 @@ from pgfmd.grid.transforms import sink
 from pgfmd.solvers.adhesive_inner import Steps, conjugate_gradients, decrement, least_ritz
 from pgfmd.solvers.adhesive_model import AdhesiveModel, AdhesiveState, Hold
 
-RADIUS, LARGEST_RADIUS, NEAR = 3.0, 20.0, 4.0  # trust radius: first, largest; it binds points of smaller gaps than NEAR
+RADIUS, LARGEST_RADIUS = 3.0, 20.0  # trust radius: first, largest
 MOST_STEPS, HALVINGS = 1000, 12
 SAME = 1e-14  # change of the energy, over the sum of its parts, that is rounding in double precision
 GONE = 1e-9  # energy of the law per point, over w, below which the surfaces have separated
@@ -101,9 +101,9 @@ class AdhesiveContact(AdhesiveModel):
 
     def lowered(self, state: AdhesiveState, hold: Hold, goal: Goal) -> bool:
         """`minimise` on a state, in place; False if `MOST_STEPS` were taken.  Ends in double precision.  Collective."""
-        radius, careful = RADIUS, 0
+        radius, careful = RADIUS, False
         while state.iterations < MOST_STEPS:
-            found, down = self.direction(state, hold, goal(state), careful > 0)
+            found, down = self.direction(state, hold, goal(state), careful)
             if hold.spring == 0 and hold.load < 0 and state.law > -GONE:
                 raise Unreachable(f"load.{hold.name}: no contact bears that tension, the surfaces separate")
             if self.see is not None:
@@ -111,12 +111,11 @@ class AdhesiveContact(AdhesiveModel):
             ended = not careful and ((state.error <= goal(state) and not down) or state.residual == 0)
             if not ended:
                 fell, radius = self.step(state, hold, found, down, radius)
-                ended = not fell and careful > 0
-                careful = max(careful - 1, 0) if fell else 2
+                ended, careful = careful and not fell, not fell
             del found
             if ended and state.single:
                 self.renew(state)
-                careful = 0
+                careful = False
             elif ended:
                 if careful:
                     self.direction(state, hold, goal(state), False)
@@ -143,9 +142,7 @@ class AdhesiveContact(AdhesiveModel):
             down *= np.float32(math.copysign(radius / self.largest(lambda s: np.abs(down[s])), -work))
             trials.insert(0, (found + down, 3))
         for way, halvings in trials:
-            most = self.largest(
-                lambda s, w=way: np.abs(w[s]) * (state.gap[s] < self.law.least + NEAR)  # type: ignore[misc]
-            )
+            most = self.largest(lambda s, w=way: np.abs(w[s]))  # type: ignore[misc]
             part = min(1.0, 1.5 * radius / most) if most > 0 else 1.0
             for halving in range(halvings):
                 if self.moved(state, hold, way, part):
