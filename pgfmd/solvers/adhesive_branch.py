@@ -41,7 +41,7 @@ JUMP = "jump_from", "jump_to", "pressure_before_jump", "pressure_after_jump"
 START_ERROR = 1e-5  # certified error of the contact under a hard wall with which a search at a load begins
 FAR = 0.2  # largest distance t from the minimum, in ranges and over θ: more makes θ smaller
 LESS = 0.7  # a guess of θ, over that of the last contact
-WORSE = 2.0  # bound of the energy error over the estimate, at first
+WORSE = 2.0  # bound of the energy error over the estimate
 LESSER, TRIES = 4.0, 3  # divides a guess of θ that was too large; how often
 MOST = 1e60, 1e10  # load over the largest attraction; displacement over `apart`: more leaves them no digits
 ROUNDING = 1e-6  # a part of a point, by which numbers of points may be too large
@@ -186,9 +186,6 @@ class Branch:
                 way *= np.float32(ratio)
                 np.add(gap, way, out=gap, where=gap > least)
                 np.maximum(gap, least, out=gap)
-                if not hold.fixed:  # a large step of the load may extrapolate into far too much contact
-                    energies = [s.energy + hold.energy(s.mean) for s in (self.contact.state(gap), last[1])]
-                    np.copyto(gap, gap if energies[0] < energies[1] else last[1].gap)
         del way
         if hold.fixed:
             self.contact.to_mean(gap, hold.gap)
@@ -199,10 +196,10 @@ class Branch:
         """θ of a state, guessed from its last directions and the last contact."""
         return min(max(min(state.curvatures, default=1.0), 1e-3), 0.8, LESS * self.floor or 1.0)
 
-    def _goal(self, state: AdhesiveState, hold: Hold, floor: float = 0.0, worse: float = WORSE) -> float:
+    def _goal(self, state: AdhesiveState, hold: Hold, floor: float = 0.0) -> float:
         """The error, over 2 E_el, at most the tolerance, with which the distance t is at most `FAR` θ."""
         floor = floor or self._guess(state)
-        share = distance(self.contact, hold, floor, worse * state.scale / 2) / (FAR * floor)
+        share = distance(self.contact, hold, floor, WORSE * state.scale / 2) / (FAR * floor)
         return min(self.tolerance, 1 / max(share, 1e-100) ** 2)
 
     def _leapt(self, low: Point, high: Point) -> bool:
@@ -272,13 +269,13 @@ class Branch:
         """θ, the bound of the energy error per point, the distance t, and whether they are proved.  Lowers the state
         to where its distance from the minimum hardly changes θ.  Collective.
         """
-        contact, wanted, worse = self.contact, self.tolerance * state.scale / 2, WORSE
+        contact, wanted = self.contact, self.tolerance * state.scale / 2
         guess, goal, known = self._guess(state), state.error, min((self.floor, *state.curvatures))
         for _ in range(TRIES):
-            goal = min(goal, self._goal(state, hold, guess, worse))
+            goal = min(goal, self._goal(state, hold, guess))
             if goal < state.error:
                 contact.lowered(state, hold, lambda _, goal=goal: goal)  # type: ignore[misc]
-            expected = worse * state.error * state.scale / 2
+            expected = WORSE * state.error * state.scale / 2
             if self.proven and (proof := proved(contact, state, hold, known, expected)):
                 return *proof, True
             self.proven = False
@@ -289,8 +286,7 @@ class Branch:
                 self.proven = proof is not None
                 return *(proof or (floor, bound, far)), self.proven
             guess, goal = min(floor or guess / LESSER, guess), state.error
-            if floor > 0 and math.isfinite(bound) and state.error > 0:
-                worse = max(worse, 2 * bound / (state.error * state.scale))
+            if floor > 0 and math.isfinite(bound):
                 goal *= min(1.0, wanted / bound / 2)
         self.floor, self.proven = 0.0, False
         return 0.0, math.inf, far, False

@@ -46,8 +46,7 @@ def estimated(contact: AdhesiveContact, state: AdhesiveState, hold: Hold, far: f
 
     θ is `RITZ` of the least eigenvalue of PA, 1 without D̄, by the conjugate gradients that give e: the least Ritz value
     less the norm of its residual, which is right if the start holds that eigenvector.  0 where it is not above that.
-    With noise n added to r, √⟨r, A⁻¹r⟩ is at most that of the sum plus √(⟨n, Pn⟩/θ).  Iterations end early if t is too
-    short.
+    With noise n added to r, √⟨r, A⁻¹r⟩ is at most that of the sum plus √(⟨n, Pn⟩/θ).
     """
     start, weight, actions = firm(contact, state, hold, stiffening(contact, state, hold, far))
     more = shake(contact, start, hold, actions, state.square / state.residual**2 if state.residual else 0.0)
@@ -56,12 +55,11 @@ def estimated(contact: AdhesiveContact, state: AdhesiveState, hold: Hold, far: f
         both = decrement(first, steps, floor), more / floor
         return ROUNDED * (state.residual * sum(map(math.sqrt, both))) ** 2 / 2
 
-    def enough(first: float, left: float, steps: Steps) -> bool:
+    def enough(_: float, left: float, steps: Steps) -> bool:
         if len(steps) < LEAST_STEPS or left <= ROUNDING:
             return left <= ROUNDING
         floor, rest = least_ritz(steps)
-        short = distance(contact, hold, floor, state.residual**2 * decrement(first, steps, math.inf) / 2) > far
-        return short or (left <= LEFT * floor and rest <= SURE * floor)
+        return left <= LEFT * floor and rest <= SURE * floor
 
     _, negative, first, steps = conjugate_gradients(contact, start, weight, actions, enough, LANCZOS)
     floor, rest = least_ritz(steps)
