@@ -15,9 +15,10 @@ from pgfmd.physics.laws.adhesive_laws import AdhesiveWall, Dugdale, Potential
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.homogeneous import Homogeneous
 from pgfmd.solvers.adhesive import AdhesiveContact
-from pgfmd.solvers.adhesive_branch import Branch, roughness
+from pgfmd.solvers.adhesive_branch import Branch
 from pgfmd.solvers.adhesive_certificate import LARGEST, estimated, is_m_matrix, proved, smaller_stiffness
 from pgfmd.solvers.adhesive_model import Hold
+from pgfmd.solvers.adhesive_resolution import roughness
 from pgfmd.solvers.options import Load
 from pgfmd.theory import adhesion
 

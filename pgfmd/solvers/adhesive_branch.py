@@ -17,7 +17,6 @@ from functools import partial
 import numpy as np
 
 from pgfmd.errors import InputError, SolverError
-from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.options.text import show
 from pgfmd.physics.laws.adhesive_laws import AttractiveWall, Dugdale, RangedWall
 from pgfmd.physics.laws.hard import HardWall
@@ -26,25 +25,23 @@ from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
 from pgfmd.solvers.adhesive import AdhesiveContact
 from pgfmd.solvers.adhesive_certificate import LITTLE, MARGIN, distance, estimated, proved
 from pgfmd.solvers.adhesive_model import AdhesiveState, Hold
+from pgfmd.solvers.adhesive_resolution import resolved
 from pgfmd.solvers.options import Load
 from pgfmd.solvers.solution import Certificate, ContactSolution, Monitor
-from pgfmd.theory import adhesion
 
 LEAP, LEAST_LEAP = 0.2, 16  # change of the points within the range: over the larger number, and in points
 LOOSE = 1e-4  # tolerance of the first state halfway, which only tells whether the area jumps
 KNOWN = 0.02  # relative error of a jump's energy loss at which bisection ends
 SUDDEN = 0.75  # part of a change of points within the range that one half of an interval has if it jumps there
-WARNED, REFUSED = 2.0, 0.8  # process zone in pixels: the edge of a straight contact errs by 1–2 % at 2, 5–11 % at .8
-NEAR_PIXELS = 4.0  # for μ_T ≤ 1
 PROBE = 4.0, 2.0  # ranges of a probe over that of the law, which comes last
 JUMP = "jump_from", "jump_to", "pressure_before_jump", "pressure_after_jump"
+NO_JUMP: tuple[float, ...] = (math.nan,) * 4
 START_ERROR = 1e-5  # certified error of the contact under a hard wall with which a search at a load begins
 FAR = 0.2  # largest distance t from the minimum, in ranges and over θ: more makes θ smaller
 LESS = 0.7  # a guess of θ, over that of the last contact
 WORSE = 2.0  # bound of the energy error over the estimate
 LESSER, TRIES = 4.0, 3  # divides a guess of θ that was too large; how often
 MOST = 1e60, 1e10  # load over the largest attraction; displacement over `apart`: more leaves them no digits
-ROUNDING = 1e-6  # a part of a point, by which numbers of points may be too large
 COLD, FOLLOWED, PROBED = range(3)
 NONE = np.empty(0)
 Point = tuple[float, AdhesiveState]  # a target and its contact
@@ -113,46 +110,55 @@ class Branch:
 
     def solution(self, target: float) -> ContactSolution:
         """The contact at that target, on the branch of the last one.  Collective.  Raises SolverError."""
-        began, transforms = time.perf_counter(), self.contact.grid.transforms
+        begun = time.perf_counter(), self.contact.grid.transforms
         self.contact.allocate()
         self.contact.see = self.monitor and partial(self.monitor, self.grid)
-        hold, way = self.hold(target), FOLLOWED
-        jump, drop, gradual = (math.nan,) * 4, 0.0, False
+        hold, way, jump, drop = self.hold(target), FOLLOWED, NO_JUMP, 0.0
         if self.last is None or self.load.branch != "follow":
             state, way = self._cold(hold), PROBED if self.load.branch == "probe" else COLD
         else:
-            before, state = _bare(self.last), self._from(self.last, target, extrapolated=True)
-            while self.load.jump_accuracy and self._leapt(before, (target, state)):
-                ends = [self.last, (target, state)]
-                del state  # as the fields of what is not needed any more take memory
-                gradual = not self._bisect(ends)
-                if not gradual and ends[1][0] == target:  # did the extrapolated start jump too early?
-                    nearer = target, self._from(ends[0], target)
-                    if not self._dropped(ends[0], nearer):
-                        gradual, ends[1] = True, nearer
-                    del nearer
-                self.last = ends[0] if gradual else ends[1]
-                if not gradual:
-                    jump = ends[0][0], ends[1][0], self._pressure(ends[0][1]), self._pressure(ends[1][1])
-                    drop += max(self._lost(*ends)[1], 0.0)
-                    self._tell(*ends)
-                    before = _bare(ends[1])
-                reached = ends[1] if ends[1][0] == target else None
-                del ends
-                state = reached[1] if reached else self._from(self.last, target)
-                if reached or gradual:
-                    break
-        if self.last and math.isnan(jump[0]) and self.last[0] != target:
+            state, jump, drop = self._followed(target)
+        if self.last and jump is NO_JUMP and self.last[0] != target:
             change = self.contact.grid.new_field(np.float32)
             np.subtract(state.gap, self.last[1].gap, out=change, casting="same_kind")
             self.change = target - self.last[0], change
         self.last = target, state
-        lost = drop * self.contact.length * self.contact.pressure / self.contact.share
         return self._solution(state, hold, {
-            **dict(zip(JUMP, jump, strict=True)), "energy_drop": lost,
+            **dict(zip(JUMP, jump, strict=True)),
+            "energy_drop": drop * self.contact.length * self.contact.pressure / self.contact.share,
             "branch": way, "newton_steps": state.iterations, "trials_refused": state.refused,
             "inner_applications": state.inner,
-        }, (began, transforms))  # fmt: skip
+        }, begun)  # fmt: skip
+
+    def _followed(self, target: float) -> tuple[AdhesiveState, tuple[float, ...], float]:
+        """The contact at a target along the branch, the last jump before it, and the energy lost in all jumps.  `last`
+        becomes the state from which it was reached.  Collective.
+        """
+        assert self.last is not None
+        jump, drop = NO_JUMP, 0.0
+        before, state = _bare(self.last), self._from(self.last, target, extrapolated=True)
+        while self.load.jump_accuracy and self._leapt(before, (target, state)):
+            ends = [self.last, (target, state)]
+            del state  # as the fields of what is not needed any more take memory
+            jumps = self._bisect(ends)
+            if jumps and ends[1][0] == target:  # did the extrapolated start jump too early?
+                again = target, self._from(ends[0], target)
+                if not self._dropped(ends[0], again):
+                    jumps, ends[1] = False, again
+                del again
+            self.last = ends[1] if jumps else ends[0]
+            if jumps:
+                jump = ends[0][0], ends[1][0], self._pressure(ends[0][1]), self._pressure(ends[1][1])
+                drop += max(self._lost(*ends)[1], 0.0)
+                self._tell(*ends)
+                before = _bare(ends[1])
+            if ends[1][0] == target:
+                return ends[1][1], jump, drop
+            del ends
+            state = self._from(self.last, target)
+            if not jumps:
+                break
+        return state, jump, drop
 
     def _cold(self, hold: Hold) -> AdhesiveState:
         """From the undeformed gap, or from the contact under the same work at longer ranges.  Collective."""
@@ -189,8 +195,8 @@ class Branch:
         del way
         if hold.fixed:
             self.contact.to_mean(gap, hold.gap)
-        near = None if tolerance else lambda state: self._goal(state, hold)
-        return self.contact.minimise(gap, hold, max(self.tolerance, tolerance), near)
+        goal = None if tolerance else lambda state: self._goal(state, hold)
+        return self.contact.minimise(gap, hold, max(self.tolerance, tolerance), goal)
 
     def _guess(self, state: AdhesiveState) -> float:
         """θ of a state, guessed from its last directions and the last contact."""
@@ -205,7 +211,7 @@ class Branch:
     def _leapt(self, low: Point, high: Point) -> bool:
         """Whether the area leapt, or energy was lost by whatever force was between."""
         (_, old), (_, new) = low, high
-        leap = abs(new.near - old.near) > max(LEAST_LEAP, LEAP * max(new.near, old.near))
+        leap = abs(new.attracted - old.attracted) > max(LEAST_LEAP, LEAP * max(new.attracted, old.attracted))
         return leap or self._dropped(low, high)
 
     def _dropped(self, low: Point, high: Point) -> bool:
@@ -225,9 +231,9 @@ class Branch:
             self.last, target = ends[0], (ends[0][0] + ends[1][0]) / 2
             middle = target, self._from(ends[0], target, tolerance=loose or self.tolerance)
             halves = (ends[0], middle), (middle, ends[1])
-            areas = [abs(new[1].near - old[1].near) for old, new in halves]
+            areas = [abs(new[1].attracted - old[1].attracted) for old, new in halves]
             losses = [self._lost(*half)[1] for half in halves]
-            sudden = max(areas) > SUDDEN * abs(ends[1][1].near - ends[0][1].near)
+            sudden = max(areas) > SUDDEN * abs(ends[1][1].attracted - ends[0][1].attracted)
             left = (4 * sum(losses) - self._lost(*ends)[1]) / 3
             if not sudden and (max(losses) <= 0 or left <= max(losses) / 2):
                 return False
@@ -350,61 +356,6 @@ class Branch:
         contact = self.contact
         steepest = float(np.max(-contact.law.curvature(np.linspace(contact.law.least, contact.law.least + 40, 20001))))
         return steepest < 1 / contact.softest and not (isinstance(contact.law, Dugdale) and contact.law.edge == 0)
-
-
-def roughness(problem: ContactProblem) -> tuple[float, float]:
-    """Rms of |∇h| and of ∇²h by differences between neighbours, the border left out.  Collective."""
-    grid, own = problem.grid, problem.heights
-    last = min(grid.rows.stop + 2, grid.shape[0]) if len(own) else grid.rows.stop
-    after, pixel = grid.fetch(own, grid.rows.stop, last), max(grid.spacing)
-    dx, dy = (a / pixel for a in grid.spacing)
-
-    def sums_of(first: int, stop: int) -> list[float]:
-        rows = np.concatenate([own[first : stop + 2], after[: max(0, stop + 2 - len(own))]]) / pixel
-        x, y = np.diff(rows, axis=0)[: stop - first] / dx, np.diff(rows[: stop - first], axis=1) / dy
-        bend = np.diff(rows, 2, axis=0)[:, 1:-1] / dx**2 + np.diff(rows[1:-1], 2, axis=1) / dy**2
-        return [float(v) for each in (x, y, bend) for v in (np.vdot(each, each), each.size)]
-
-    sums = grid.reduction.sums(*np.sum(grid.threads.collect(sums_of, len(own), grid.band), axis=0))
-    return math.hypot(*np.sqrt(sums[0:3:2] / np.maximum(sums[1:4:2], 1))), math.sqrt(sums[4] / max(sums[5], 1)) / pixel
-
-
-def resolved(problem: ContactProblem, law: AttractiveWall) -> float:
-    """The criterion of stickiness; NaN for a flat surface.  Warns where the process zone ℓ = ρ²E'/w is shorter than 2
-    pixels, or for μ_T ≤ 1 √(2Rρ), the radius within which a summit is as near as ρ, than 4 pixels.  Raises InputError
-    where ℓ is below .8 pixels, unless the law allows it: the grid then pins the edge of a contact.  Collective.
-    """
-    modulus, pixel, (reach, stress) = problem.solid.contact_modulus, max(problem.grid.spacing), law.units
-    zone, alone = law.process_zone(modulus), problem.grid.comm.rank == 0
-    points = _points(problem.grid, WARNED / (zone / pixel) if zone else math.inf)
-    text = f"wall: the process zone ρ²E'/w = {zone:.3g} is {zone / pixel:.2g} pixels; 2 need grid.n = {points}"
-    if zone < REFUSED * pixel and not law.unresolved:
-        raise InputError(f"{text}; below {REFUSED:g} the grid pins contact edges (wall.unresolved = true: solve)")
-    if zone < WARNED * pixel and alone:
-        log.warning("%s: areas err by about 2 %% at 1.3 pixels, pull-off forces by 1 %%, 11 %% at .8", text)
-    slope, bend = roughness(problem)
-    if not slope or not bend:
-        return math.nan
-    radius = 2 / bend  # of a paraboloid, and a typical one of summits
-    mu, near = adhesion.transition(stress / modulus, 1.0, radius / reach, 1.0), reach * math.sqrt(2 * radius / reach)
-    if mu <= 1 and near < NEAR_PIXELS * pixel and alone:
-        log.warning(
-            "wall: with μ_T = %.2g, summits attract within √(2Rρ) = %.3g, %.2g pixels; %g need grid.n = %s: "
-            "pull-off forces err by 6 %% at 2 pixels, by 8 to 40 %% at 1",
-            mu, near, near / pixel, NEAR_PIXELS, _points(problem.grid, NEAR_PIXELS / (near / pixel)),
-        )  # fmt: skip
-    found = adhesion.stickiness(stress / modulus, 1.0, slope, bend * reach, 1.0)
-    if alone:
-        log.info("wall: stickiness criterion of Pastewka and Robbins %.3g; rough surfaces stick below 1", found)
-    return found
-
-
-def _points(grid: SlabGrid, factor: float) -> str:
-    """The points of a grid whose pixels are so many times smaller than the longer sides of these: one number, or both
-    where they differ.
-    """
-    counts = [np.ceil(factor * length / max(grid.spacing) - ROUNDING) for length in grid.lengths]
-    return f"{counts[0]:.9g}" if counts[0] == counts[1] else f"[{counts[0]:.9g}, {counts[1]:.9g}]"
 
 
 def solve_adhesive(

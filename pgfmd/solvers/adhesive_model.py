@@ -79,7 +79,7 @@ class AdhesiveState:
     curvatures: tuple[float, ...] = ()  # of the last three directions; 1 where one was negative
     error: float = math.inf
     contact: int = 0
-    near: int = 0  # points with a gap below ρ
+    attracted: int = 0  # points with a gap below ρ
     iterations: int = 0
     inner: int = 0
     refused: int = 0
@@ -244,11 +244,11 @@ class AdhesiveModel:
                 float(np.count_nonzero(own <= least)), float(np.count_nonzero(own < 1)),
             )  # fmt: skip
 
-        work, rest, law, total, contact, near = self.bands(sums)
+        work, rest, law, total, contact, attracted = self.bands(sums)
         size = self.grid.size
         state.mean, state.law = total / size, law / size
         state.elastic = (work - rest * state.mean) / 2 / size  # the rest is rounding
-        state.contact, state.near = int(contact), int(near)
+        state.contact, state.attracted = int(contact), int(attracted)
         return state
 
     def residual(self, state: AdhesiveState, hold: Hold, shut: float = 0.0) -> np.ndarray:
