@@ -7,8 +7,8 @@ f = K(g + h) + W'(g) opens them; there r = f − μ is to vanish, where μ = −
 Each step solves (K + W'')δ = −r on the free points by conjugate gradients, preconditioned by the compliance between
 them.  Where these meet a direction of negative curvature, the step follows it downhill, to the trust radius.  A step is
 taken if the energy decreases along it: it is convex there, or its slope is negative at four points.  This keeps the
-contact from crossing barriers of energy.  If no fraction of a step is taken, the step with the convex part of W only
-replaces it (convex–concave procedure; Yuille and Rangarajan 2003, doi:10.1162/08997660360581958).
+contact from crossing barriers of energy.  If no fraction of a step is taken, points about to close are closed, and the
+others take the next step.
 
 Gaps count in the range ρ of the law, pressures in σ₀ = w/ρ.
 """
@@ -59,11 +59,11 @@ class AdhesiveContact(AdhesiveModel):
         return found
 
     def direction(self, state: AdhesiveState, hold: Hold, tolerance: float, careful: bool) -> tuple[np.ndarray, bool]:
-        """Newton's direction, and whether `search` is one of negative curvature.  careful: without W'' < 0, and
-        points about to close are closed at once; else the first of them ends the step.  Collective.
+        """Newton's direction, and whether `search` is one of negative curvature.  careful: points about to close are
+        closed at once; else the first of them ends the step.  Collective.
         """
         start = self.residual(state, hold, self.local if careful else 0.0)
-        weight = self.weight(state.gap, not careful)
+        weight = self.weight(state.gap)
         scale = state.residual**2 / (min(state.curvature, 1.0) * state.scale)
 
         def enough(first: float, left: float, _: Steps) -> bool:

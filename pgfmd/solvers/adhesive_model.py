@@ -287,13 +287,8 @@ class AdhesiveModel:
         np.multiply(force, -1 / (state.residual or 1.0), out=out, casting="same_kind")
         return out
 
-    def weight(self, gap: np.ndarray, all_of_it: bool) -> np.ndarray:
-        """−W'' of gaps in single precision, or its negative part.  Collective."""
+    def weight(self, gap: np.ndarray) -> np.ndarray:
+        """−W'' of gaps in single precision.  Collective."""
         out = self.grid.new_field(np.float32)
-
-        def fill(s: slice) -> None:
-            own = -self.law.curvature(gap[s])
-            out[s] = own if all_of_it else np.minimum(own, 0.0)
-
-        self.rows(fill)
+        self.rows(lambda s: np.negative(self.law.curvature(gap[s]), out=out[s], casting="same_kind"))
         return out
