@@ -31,10 +31,9 @@ PER_PRESSURE, PER_GAP = 26.0, 20.0
 MESH = 4.2  # meshes and means over blocks, as measured
 CERTIFIED = 3.4, 6.0  # while a contact is certified: meshes, and per unknown its column and residual
 MEASURED = 0.7  # what is measured of every contact
-# Newton's pressure as its root, residual, direction, image, change, response (24), targets (25), rows of the coarse
-# grid (6): single precision where that serves.
-NEWTON = 55.0
-LAW = 24.0  # gaps of a law without closed form, its slopes, and temporary ones
+# Newton's root, residual, direction, image, change, response (24), in single precision, and targets (8); the rest as
+# measured.
+NEWTON = 39.0
 ADHESIVE = 40.0  # gap and stress, the next gap and the last (32), three fields in single precision: as measured
 DYNAMICS = 42.0  # displacement, force, modes and their mobility (28); the rest as measured
 GAPS_FROM = 0.8  # contact area above which the active set's unknowns are the gaps outside; there it needs most memory
@@ -66,7 +65,7 @@ def cost(method: str, area: float, slabs: int = 1, effort: float = 1.0, arrays: 
     if method == "adhesive":
         return Cost(effort, ADHESIVE)
     if method == "newton":
-        return Cost(70 * effort, heights + NEWTON + LAW * (effort > 1))
+        return Cost(70 * effort, heights + NEWTON)
     if method == "gfmd":
         return Cost(110 * effort, heights + DYNAMICS)
     by_pressures = area <= GAPS_FROM
