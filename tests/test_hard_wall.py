@@ -263,7 +263,7 @@ def test_pressures_or_gaps_as_unknowns(comm, monkeypatch, lambda_s):
     grid, heights = rough_on(comm, (96, 80), 0.5, lambda_s, 0.031, 1)
     found = []
     for mostly in (0.0, 2.0):
-        monkeypatch.setattr(contact_from_coarse, "GAPS_FROM", mostly)
+        monkeypatch.setattr(contact_from_coarse, "gaps_from", lambda points, area=mostly: area)
         found.append(
             contact_from_coarse.solve_hard_wall(
                 under_hard_wall(grid, heights, 0.0085 * MODULUS, elastic(MODULUS)), 1e-20

@@ -17,7 +17,7 @@ from pgfmd.options.section import in_words
 from pgfmd.options.text import counted, duration, listed, readable
 from pgfmd.physics.laws.adhesive_laws import AttractiveWall
 from pgfmd.physics.solids.solid import SOFT
-from pgfmd.solvers.options import GAPS_FROM, MODERATE, SINGLE_TO, Arrays
+from pgfmd.solvers.options import GAPS_FROM, MODERATE, SINGLE_TO, Arrays, gaps_from
 from pgfmd.solvers.options import cost as solver_cost
 
 FIELDS = 3.0  # heights, pressure and gap
@@ -261,13 +261,15 @@ class Plan:
             bisected = job.load.jump_accuracy > 0 and job.load.branch == "follow"
             jumps = JUMPS / zone * bisected * (1 - 1 / len(job.load.targets))  # none to the first target
             effort = PAIR * (STICKS[0] + STICKS[1] * (math.prod(cell.n) ** 0.5 / 128) ** 0.75 / zone) * (1 + jumps)
-        most = 1.0 if cell.domain.wraps else GAPS_FROM  # open: pressures are the unknowns at any area
+        # Open: pressures are the unknowns at any area.  What an imposed gap or area takes was measured with .8.
+        given = job.imposed.control == "pressure"
+        most = (gaps_from(math.prod(cell.n)) if given else GAPS_FROM[1]) if cell.domain.wraps else 1.0
         strips = WORKSPACE["blocked"] * (cell.domain.wraps and job.solver.transform == "blocked")
-        arrays = Arrays(self.scaled, single, strips, job.solver.storage == "float64")
-        costs = [solver_cost(method, min(area, most), slabs, effort, arrays) for area in self.contact_areas()]
+        arrays = Arrays(self.scaled, single, strips, job.solver.storage == "float64", most)
+        costs = [solver_cost(method, area, slabs, effort, arrays) for area in self.contact_areas()]
         for number, each in enumerate(self.extents):
             if each.part <= WORTH:
-                work = solver_cost(method, min(each.area / each.part, most), slabs).transforms
+                work = solver_cost(method, min(each.area / each.part, most), slabs, arrays=arrays).transforms
                 costs[number] = Cost(each.part * work + OUTSIDE, costs[number].memory)
         return costs
 
@@ -294,7 +296,7 @@ class Plan:
             gaps = [SUMMIT * rms - target if by_approach else target for target in targets]
             return [math.erf(math.exp(-FALL * max(gap, 0.0) / rms)) for gap in gaps]
         if job.imposed.control != "pressure" or not full:  # it may underflow
-            return [GAPS_FROM if job.cell.domain.wraps else OPEN_AREA]
+            return [gaps_from(math.prod(job.cell.n)) if job.cell.domain.wraps else OPEN_AREA]
         areas = [math.erf(target / full) for target in targets]
         return [area * (1 + AREA_EXCESS * (1 - area)) for area in areas]
 

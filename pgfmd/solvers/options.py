@@ -36,20 +36,21 @@ MEASURED = 0.7  # what is measured of every contact
 NEWTON = 39.0
 ADHESIVE = 40.0  # gap and stress, the next gap and the last (32), three fields in single precision: as measured
 DYNAMICS = 42.0  # displacement, force, modes and their mobility (28); the rest as measured
-GAPS_FROM = 0.8  # contact area above which the active set's unknowns are the gaps outside; there it needs most memory
+GAPS_FROM, LARGE = (0.6, 0.8), 4096**2  # see `gaps_from`
 
 
 class Arrays(NamedTuple):
     """What decides on the memory beside the contact.  scaled: whether heights are scaled in an array of their own.
     single: whether the active set can keep pressure and gap in single precision while it solves.  strips: bytes per
     point of the transforms in double precision that it frees while it does not transform.  stored: whether fields are
-    stored in double precision.
+    stored in double precision.  gaps_from: contact area above which the active set's unknowns are the gaps outside.
     """
 
     scaled: bool = True
     single: bool = False
     strips: float = 0.0
     stored: bool = True
+    gaps_from: float = GAPS_FROM[1]
 
 
 USUAL = Arrays()
@@ -68,13 +69,20 @@ def cost(method: str, area: float, slabs: int = 1, effort: float = 1.0, arrays: 
         return Cost(70 * effort, heights + NEWTON)
     if method == "gfmd":
         return Cost(110 * effort, heights + DYNAMICS)
-    by_pressures = area <= GAPS_FROM
+    by_pressures = area <= arrays.gaps_from
     most = fullest(area if by_pressures else 1 - area, slabs)
     work, unknowns = (6.5 + 22 * area, PER_PRESSURE) if by_pressures else (13.5 - 7 * area, PER_GAP)
     saved, half = SINGLE * (arrays.single and arrays.stored), 1 - arrays.single / 2
     solving, certified = MESH + most * unknowns, CERTIFIED[0] + most * CERTIFIED[1] + half * arrays.strips
     # Solved, the fields are in the precision of `storage`, and there are no strips.
     return Cost(work, heights + max(max(solving, certified) - saved, MEASURED) - arrays.strips)
+
+
+def gaps_from(points: int) -> float:
+    """Contact area above which the active set's unknowns are the gaps outside the contact, on a grid of so many points;
+    there it needs most memory.
+    """
+    return GAPS_FROM[int(points > LARGE)]
 
 
 def fullest(area: float, slabs: int) -> float:

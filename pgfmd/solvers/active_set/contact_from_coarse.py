@@ -23,11 +23,11 @@ from pgfmd.solvers.active_set.thin import ThinSteps, is_thin
 from pgfmd.solvers.active_set.unknowns import Fields
 from pgfmd.solvers.controls import stress_of_full_contact
 from pgfmd.solvers.nested_iteration import Coarse, NestedIteration
-from pgfmd.solvers.options import GAPS_FROM
+from pgfmd.solvers.options import gaps_from
 from pgfmd.solvers.second_order import Rounding
 from pgfmd.solvers.solution import Monitor
 
-GAP_FROM, AREA_FROM = 0.4, 0.65  # `GAPS_FROM` where a mean gap or an area is imposed
+GAP_FROM, AREA_FROM = 0.4, 0.65  # `gaps_from` where a mean gap or an area is imposed
 MOST_ROWS = 512  # of which a stress is measured: a part of a hundred of a transform at 8192²
 PUNCH = 2.6  # Â(0) p̄/δ of a square punch on a half-space, 2.244 · 1.1523; 1 on a thin slab
 ROUGHER = 0.3  # part of the heights resolved by the finer grid only that its start assumes flattened
@@ -165,13 +165,13 @@ class ActiveSetIteration(NestedIteration[State]):
         return state, False
 
     def relax(self, problem: ContactProblem, state: State, exact: bool = True) -> State:
-        """Relaxes a state with pressures or gaps as unknowns, whichever cost less (`GAPS_FROM`).  Collective."""
+        """Relaxes a state with pressures or gaps as unknowns, whichever cost less (`gaps_from`).  Collective."""
         if problem.imposed is not None and problem.imposed.area:
             known = self.stresses or {problem.grid.size: 1.0}
             state.aim = state.aim or Aim(problem.imposed, known, pressure=problem.mean_pressure)
             problem = problem.imposing(None, state.aim.pressure)
         given = problem.imposed is None
-        part = (GAPS_FROM if state.aim is None else AREA_FROM) if given else GAP_FROM
+        part = (gaps_from(problem.grid.size) if state.aim is None else AREA_FROM) if given else GAP_FROM
         by_gaps = problem.imposed is None or problem.imposed.is_gap
         by_gaps &= problem.law.highest == np.inf and problem.grid.domain.wraps
         by_gaps &= state.between > part * problem.grid.size
