@@ -99,7 +99,7 @@ def solve(case: dict, comm, pressure: float) -> dict:
             errors.append(f"{state.error:.1e}" * (level is grid))
 
         def solved(problem, start, tolerance):
-            return solve_hard_wall(problem, tolerance, start, watch, kind in ("", "open"))
+            return solve_hard_wall(problem, tolerance, start, watch)
 
         control = LoadControl(load, ContactProblem(grid, heights, solid, HardWall()), case["tolerance"], solved)
         found = control.solution(load.targets[0])
