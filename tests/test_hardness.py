@@ -286,6 +286,16 @@ def test_displacements_beyond_full_yielding_are_refused(comm):
             control.solution(1.001 * limit)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_mean_gap_is_not_negative(seed):
+    """Nearly full contact, by yielding or by an imposed area: the mean of gaps ≥ 0 is ≥ 0, whatever its error."""
+    heights = 0.3 * np.random.default_rng(seed).standard_normal((8, 8))
+    yielding = pgfmd.solve(heights, 1.0, wall=Hardness(hardness=1.2))
+    for found in (yielding, pgfmd.solve(heights, contact_area=0.99999)):
+        assert found.mean_gap >= 0 and found.gap.min() >= 0
+        assert found.mean_gap == pytest.approx(found.gap.mean(), rel=1e-4, abs=1e-6)
+
+
 @pytest.mark.parametrize("thickness", [math.inf, 4.0])
 def test_an_open_patch_yields_as_a_whole_beyond_its_range_of_heights(comm, thickness):
     """Under σ_Y everywhere an open patch is also displaced: the displacements of loads up to .98 σ_Y are met, and that
