@@ -154,7 +154,7 @@ def _on_rectangle(
         begin = None
     grid.free()
     with part.freed():
-        found = ActiveSetIteration.contact(inside, tolerance, begin, monitor, True)
+        found = ActiveSetIteration.contact(inside, tolerance, begin, monitor, overwrite_heights=True)
     part.tables.clear()
     del inside, begin
     pressure, most = put(found.pressure, np.zeros(grid.local_shape)), float(grid.reduction.max(found.pressure))
