@@ -282,9 +282,11 @@ def test_heavy_loads_are_certified_or_refused_at_once(comm, method, zeta):
 
 @pytest.mark.skipif(np.finfo(np.longdouble).eps > 1e-18, reason="the reference needs extended precision")
 @pytest.mark.parametrize("seed", [2, 4, 8, 17, 21, 23, 31, 38] if SIZE == 1 else [4])
-def test_newton_under_thin_plates(comm, seed):
+def test_newton_under_thin_plates(comm, monkeypatch, seed):
     """White heights of 2 × 13 to 4 × 19 under slabs with a free base, .08 to 1.2 pixels thick, which bend like plates:
-    steps cycle if slopes of the law are cut at 1e4 over α.  The true error (slow reference) is within the bound."""
+    steps cycle if slopes of the law are cut at 1e4 over α, and dynamics then take over.  The true error (slow reference)
+    is within the bound."""
+    monkeypatch.setattr(newton_from_coarse, "Dynamics", lambda *_: pytest.fail("steps cycle"))
     random = np.random.default_rng(seed)
     shape = tuple(int(n) for n in (random.integers(2, 5), random.integers(8, 20)))
     heights, thickness = random.standard_normal(shape), max(shape) * 10 ** random.uniform(-3, -0.5)
@@ -293,9 +295,7 @@ def test_newton_under_thin_plates(comm, seed):
     zeta = float(np.std(heights) * 10 ** random.uniform(-4, 1))
     grid, solid = SlabGrid(comm, shape), elastic(1.0, thickness, "free")
     problem = ContactProblem(grid, heights[grid.rows].copy(), solid, ExponentialWall(zeta=zeta), load)
-    seen: list[float] = []
-    found = solve_contact(problem, Solver(method="newton"), monitor=lambda _, state: seen.append(state.error))
-    assert found.iterations > 0 and seen[-1] <= 1e-8
+    found = solve_contact(problem, Solver(method="newton"))
     error = contact.exponential(load, zeta).error_of(grid.fetch(found.pressure, 0, shape[0]))
     assert error <= found.certified_error <= 1e-8
 
