@@ -146,7 +146,7 @@ class PressureSteps(Relaxation):
             self._respond(state, near, before)
             del near, before  # the next system needs their room
             system = self._system(state)
-            if system.square < 1.1 * goal or system.square > square / 2:
+            if not 1.1 * goal <= system.square <= square / 2:  # NaN ends as well
                 return
             wanted = 0.0  # the next set is about right: all that is left is asked for
 
