@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from conftest import SIZE
 from contacts import elastic, rough_on, under_hard_wall
+from mpi4py import MPI
 from reference import Contact, Solid
 
 from pgfmd.errors import InputError, SolverError, Uncertifiable
@@ -283,9 +284,9 @@ def test_heavy_loads_are_certified_or_refused_at_once(comm, method, zeta):
 @pytest.mark.skipif(np.finfo(np.longdouble).eps > 1e-18, reason="the reference needs extended precision")
 @pytest.mark.parametrize("seed", [2, 4, 8, 17, 21, 23, 31, 38] if SIZE == 1 else [4])
 def test_newton_under_thin_plates(comm, monkeypatch, seed):
-    """White heights of 2 × 13 to 4 × 19 under slabs with a free base, .08 to 1.2 pixels thick, which bend like plates:
-    steps cycle if slopes of the law are cut at 1e4 over α, and dynamics then take over.  The true error (slow reference)
-    is within the bound."""
+    """White heights of 2 × 13 to 4 × 19 under slabs with a free base, .08 to 1.2 pixels thick, which bend like
+    plates: steps cycle if slopes of the law are cut at 1e4 over α, and dynamics then take over.  The true error (slow
+    reference) is within the bound."""
     monkeypatch.setattr(newton_from_coarse, "Dynamics", lambda *_: pytest.fail("steps cycle"))
     random = np.random.default_rng(seed)
     shape = tuple(int(n) for n in (random.integers(2, 5), random.integers(8, 20)))
@@ -298,6 +299,25 @@ def test_newton_under_thin_plates(comm, monkeypatch, seed):
     found = solve_contact(problem, Solver(method="newton"))
     error = contact.exponential(load, zeta).error_of(grid.fetch(found.pressure, 0, shape[0]))
     assert error <= found.certified_error <= 1e-8
+
+
+def test_dynamics_step_in_where_newton_s_steps_cycle(comm, monkeypatch):
+    """Under a spring that ends at a hard wall, on the coarse grid; dynamics solve that and all finer ones, also where a
+    rank has no rows of the coarse grid.  The pressure is that of dynamics alone, to 1e-4."""
+    shapes = []
+
+    class Seen(newton_from_coarse.Dynamics):
+        def __init__(self, problem):
+            shapes.append(problem.grid.shape)
+            super().__init__(problem)
+
+    monkeypatch.setattr(newton_from_coarse, "Dynamics", Seen)
+    grid, heights = rough_on(comm, (64, 64), 0.8, 4.0, 0.1, 1)
+    problem = ContactProblem(grid, heights, elastic(1.0), FormulaWall(pressure="0.1 - gap", gaps=(0.0, 0.1)), 0.01)
+    found = solve_exponential_wall(problem, 1e-8)
+    assert found.certified_error <= 1e-8 and shapes[-1] == (64, 64)
+    assert comm.allreduce((32, 32) in shapes, MPI.LOR)
+    assert norm(grid, found.pressure - solve_gfmd(problem, 1e-8).pressure) < 1e-4 * norm(grid, found.pressure)
 
 
 def test_a_start_whose_residual_vanishes_in_single_precision(comm):
