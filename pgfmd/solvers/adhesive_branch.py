@@ -292,7 +292,7 @@ class Branch:
                 self.proven = proof is not None
                 return *(proof or (floor, bound, far)), self.proven
             guess, goal = min(floor or guess / LESSER, guess), state.error
-            if floor > 0 and math.isfinite(bound):
+            if floor > 0 and 0 < bound < math.inf:
                 goal *= min(1.0, wanted / bound / 2)
         self.floor, self.proven = 0.0, False
         return 0.0, math.inf, far, False
