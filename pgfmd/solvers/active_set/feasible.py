@@ -1,11 +1,11 @@
-"""Makes pressures feasible, if possible while each block of pixels keeps its load.
-
-The load that this adds or removes is balanced within the same block: balanced over all points, it would leave long
-waves, which cost most to correct.
+"""Makes pressures feasible.
 
 `Feasible` brings pressures between their bounds: if the set of unknowns is too large, conjugate gradients leave
-tensions (p < 0) near its edges, and setting them to 0 adds load.  The pressures of clipped gaps bear it by one factor
-(`settle`).
+tensions (p < 0) near its edges, and setting them to 0 adds load.  If possible, that load is
+balanced within the same block of pixels: balanced over all points, it would leave long waves, which cost most to
+correct.
+
+`settle` brings the pressures of clipped gaps to the load by one factor for all points.
 """
 
 from __future__ import annotations
