@@ -64,10 +64,10 @@ class State:
     Unless `clipped`, the gap is Gp − h − base, and λ = base + level, the level that of points in contact.  The base is
     an earlier λ, so that gaps in contact are small, and lose no digits in single precision.  clipped: true if `gap` is
     measured from λ, at least 0, and 0 where the pressure lies between its bounds.  estimated: true if it comes from a
-    coarser grid.  load: Σ p.  aim: what is prescribed where no load is given.  energy: ½⟨p, Gp⟩.  error: of
-    the energy over 2 · energy, certified or estimated.  contact: number of points with p > 0; between: of
-    those with 0 < p < σ_Y.  iterations: of conjugate gradients.  pressure_error: ‖Kε‖/‖p‖ of a certificate.
-    shift: row i of the fields is row i + shift of the periodic cell (`balance`).
+    coarser grid.  load: Σ p.  aim: what is prescribed where no load is given.  energy: ½⟨p, Gp⟩.  error: of the energy
+    over 2 · energy, certified or estimated.  contact: number of points with p > 0; between: of those with 0 < p < σ_Y.
+    iterations: of conjugate gradients.  pressure_error: ‖Kε‖/‖p‖ of a certificate.  shift: row i of the fields is
+    row i + shift of the periodic cell (`balance`).
     """
 
     pressure: np.ndarray
@@ -92,9 +92,9 @@ class Relaxation:
 
     Attributes: highest, the largest pressure σ_Y; squares, Σ p² and Σ u² of the last response; heights_squared, see
     `Rounding.bound`, where p > 0; summit, the largest height.  precision: the one to begin with; patience: steps
-    without halving the least error before giving up; enough: the error at which to end.
-    inner: the response between unknowns.  load_changed: whether the system of the last state is for a new load, so that
-    its residual is no error of the state (`GapSteps`).
+    without halving the least error before giving up; enough: the error at which to end.  inner: the response between
+    unknowns.  load_changed: whether the system of the last state is for a new load, so that its residual is no error of
+    the state (`GapSteps`).
     """
 
     precision: Precision = np.float32
