@@ -51,7 +51,7 @@ def test_the_exponential_wall_as_a_formula(comm, zeta):
 
 def test_newton_is_that_of_the_exponential_wall(comm):
     """Given as a formula, an exponential wall has the pressure of the built-in one, to the 1e-8 that a tolerance of
-    1e-17 leaves, in at most as many iterations and a tenth more (steps are shortened by another rule)."""
+    1e-17 leaves, in as many iterations and at most a tenth more: only the digits of the law's gaps differ."""
     grid, heights = rough_on(comm, (96, 80), 0.8, 8.0, 0.1, 2)
     law = FormulaWall(pressure="0.7 * exp(-gap / 0.3)", gaps=(-9.0, 90.0))
     ours = solved(grid, heights, law, 0.02, 1e-17, "newton")

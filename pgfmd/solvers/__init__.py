@@ -1,1 +1,1 @@
-"""Contact solvers: the hard wall (active set), the exponential wall (Newton), Green's function molecular dynamics."""
+"""Contact solvers: hard walls (active set), others that repel (Newton), walls that attract, damped dynamics."""

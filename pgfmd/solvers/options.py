@@ -102,8 +102,8 @@ METHODS = tuple(dict.fromkeys(method for law in LAWS.choices if issubclass(law, 
 class Solver(Section):
     """How the contact is found, and how well.
 
-    method "auto" takes the fastest method for the contact law, if that fails and storage is "float64",
-    dynamics ("gfmd").
+    method "auto" takes the fastest method for the contact law.  On periodic cells dynamics ("gfmd") take over where the
+    active set fails, with "auto" and storage "float64", and where Newton's steps cycle.
     """
 
     where: ClassVar[str] = "solver"

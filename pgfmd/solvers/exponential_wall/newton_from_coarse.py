@@ -27,7 +27,9 @@ class NewtonIteration(NestedIteration[LawState]):
     cycles = False
 
     def relax(self, problem: ContactProblem, state: LawState, exact: bool = True) -> LawState:
-        """Newton from that state; where its steps cycle, dynamics, which always converge, there and on finer grids."""
+        """Newton from that state.  Where its steps cycle, dynamics, which always converge, on this grid and finer ones;
+        there are none for open boundaries.
+        """
         goal, iterations = self.goal(exact), 0
         if not problem.grid.reduction.max(float(self.cycles)):  # as ranks without rows of a coarse grid know nothing
             try:
@@ -88,4 +90,4 @@ class NewtonIteration(NestedIteration[LawState]):
 
 
 solve_exponential_wall = NewtonIteration.contact
-"""The contact under an exponential wall: see `NestedIteration.contact`.  Collective."""
+"""The contact under a wall that repels, exponential or not: see `NestedIteration.contact`.  Collective."""
