@@ -119,6 +119,19 @@ def test_a_run_explores_what_would_be_too_large(monkeypatch):
         machine.refuse_too_large(ALONE, expected)
 
 
+@pytest.mark.parametrize("n", [64, 8192])
+@pytest.mark.parametrize("load", ["pressure", "mean_gap"])
+def test_an_unknown_area_is_the_one_that_takes_most_memory(n, load, tmp_path):
+    """Heights of a file tell no area: as many bytes per point are counted as for the worst of all areas."""
+    np.save(tmp_path / "heights.npy", np.zeros((2, 2)))
+    tables = {"grid": {"n": n, "length": 1.0}, "surface": {"kind": "file", "path": str(tmp_path / "heights.npy")}}
+    plan = estimate.Plan(job.parse(job.tables_as_toml(tables | {"solid.contact_modulus": 1.0, "load": {load: 0.5}})))
+    assumed = plan.bytes_per_point()
+    areas = [estimate.Extent(area, 1.0, 0.0) for area in np.linspace(0.02, 1, 50)]
+    worst = max(estimate.Plan(plan.job, (each,)).bytes_per_point() for each in areas)
+    assert assumed == pytest.approx(worst)
+
+
 def test_nodes_hold_what_their_ranks_hold():
     """On several nodes each needs its part, and a second strip (8 bytes per point), of which rows for other nodes are
     packed: (1 − 1/nodes) of it.  Contact may be uneven over nodes: never less than its part.  Ranks of a node see one

@@ -222,6 +222,13 @@ class Plan:
         return self.job.wall.kind == "hard" and self.job.solver.method in ("auto", "active-set")
 
     @property
+    def gaps_from(self) -> float:
+        """Contact area above which gaps are the unknowns, and which needs most memory.  What is needed where a pressure
+        is not given was measured with the larger one.
+        """
+        return gaps_from(math.prod(self.job.cell.n)) if self.job.imposed.control == "pressure" else GAPS_FROM[1]
+
+    @property
     def base(self) -> float:
         """Bytes of a rank before it has a grid."""
         return BASE_BYTES + OPEN_BASE_BYTES * (not self.job.cell.domain.wraps)
@@ -261,9 +268,7 @@ class Plan:
             bisected = job.load.jump_accuracy > 0 and job.load.branch == "follow"
             jumps = JUMPS / zone * bisected * (1 - 1 / len(job.load.targets))  # none to the first target
             effort = PAIR * (STICKS[0] + STICKS[1] * (math.prod(cell.n) ** 0.5 / 128) ** 0.75 / zone) * (1 + jumps)
-        # Open: pressures are the unknowns at any area.  What an imposed gap or area takes was measured with .8.
-        given = job.imposed.control == "pressure"
-        most = (gaps_from(math.prod(cell.n)) if given else GAPS_FROM[1]) if cell.domain.wraps else 1.0
+        most = self.gaps_from if cell.domain.wraps else 1.0  # open: pressures are the unknowns at any area
         strips = WORKSPACE["blocked"] * (cell.domain.wraps and job.solver.transform == "blocked")
         arrays = Arrays(self.scaled, single, strips, job.solver.storage == "float64", most)
         costs = [solver_cost(method, area, slabs, effort, arrays) for area in self.contact_areas()]
@@ -296,7 +301,7 @@ class Plan:
             gaps = [SUMMIT * rms - target if by_approach else target for target in targets]
             return [math.erf(math.exp(-FALL * max(gap, 0.0) / rms)) for gap in gaps]
         if job.imposed.control != "pressure" or not full:  # it may underflow
-            return [gaps_from(math.prod(job.cell.n)) if job.cell.domain.wraps else OPEN_AREA]
+            return [self.gaps_from if job.cell.domain.wraps else OPEN_AREA]
         areas = [math.erf(target / full) for target in targets]
         return [area * (1 + AREA_EXCESS * (1 - area)) for area in areas]
 
