@@ -174,8 +174,9 @@ def _closing(
         row, column = i + di, j + dj
         other, moved = node[row + 1, column % ny], shift[row + 1, column % ny]  # 0 of points
         y = (moved + SHIFTS // 2) % SHIFTS - SHIFTS // 2
-        across = (row + grid.rows.start) // nx - (moved - y) // SHIFTS  # cells by which the neighbour's cluster lies
-        edge = np.stack([points, other, across, column // ny - y], axis=1)  # beyond
+        # Cells by which the cluster of the neighbour lies beyond.
+        across, aside = (row + grid.rows.start) // nx - (moved - y) // SHIFTS, column // ny - y
+        edge = np.stack([points, other, across, aside], axis=1)
         edges.append(edge[(other > 0) | (other < 0) & (di + dj > 0)])  # two points of the bracket: once
     found = grid.comm.gather((points, value[i, j], np.concatenate(edges)))
     least, number = from_root(grid.comm, _first_winding, found, axis)
