@@ -132,7 +132,7 @@ def solve(  # type: ignore[misc]  # the overloads leave the names of the options
     [0.287, 0.132, 0.028]
     """
     comm = ALONE if comm is None else comm
-    given = locals()
+    given = locals()  # the arguments by name, as nothing else is a variable yet
     if _is_batch(comm, heights):
         return _batch(given)
     with raise_together(comm):
