@@ -355,8 +355,8 @@ def jumps(grid: SlabGrid, heights: np.ndarray) -> list[str]:
 
 
 def _rms_steps(grid: SlabGrid, heights: np.ndarray) -> tuple[float, list[float]]:
-    """The largest height; rms steps between neighbours along x and y, and between opposite edges across x and y.
-    Collective.
+    """The largest |height|, 1 if that is 0; rms steps between neighbours along x and y, and between opposite edges
+    across x and y.  Collective.
     """
     unit = max(-grid.reduction.min(heights), grid.reduction.max(heights)) or 1.0  # so that squares do not overflow
     scaled, (nx, ny) = heights / unit, grid.shape
