@@ -8,8 +8,8 @@
 Rows are appended to jobs/benchmark/open.csv (--csv); one that is there is not measured again.  Surfaces: `rough:H:λ_s`
 with λ_s in units of 1/512 of the side, or (`rough:.8:=16`) in spacings; `tip:H:λ_s`, the same on a paraboloid, so that
 contact ends before the border; `sphere:a`, of contact radius a sides; `punch`.  The rms slope is .1, E' = 1; errors are
-relative 2-norms, against a certified solution of the same equations: ours
-with the influence coefficients of the program.
+relative 2-norms, against a certified solution of the same equations: ours with the influence coefficients of the
+program.
 """
 
 import argparse
