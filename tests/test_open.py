@@ -221,6 +221,13 @@ def test_certificate_and_solution_against_brute_force(count):
         assert np.sum(np.abs(np.fft.fft2(rho)) ** 2 * stiffness) / rho.size / 2 >= lost
 
 
+@pytest.mark.parametrize("spacing", [(1.0, 120.0), (1.0, 900.0), (300.0, 1.0)])
+def test_very_oblong_pixels(spacing):
+    """A torus that is long for the sake of its kernel does not ask for blocks larger than the patch."""
+    heights = np.random.default_rng(1).standard_normal((12, 10))
+    assert pgfmd.solve(heights, 0.05, spacing=spacing, boundary="open").certified_error <= 1e-8
+
+
 def test_the_periodic_limit():
     """Far from the border, a small contact in a periodic cell differs by 1.6 to 2.2 (a/L)³."""
     n, radius, a = 96, 700.0, 12.0

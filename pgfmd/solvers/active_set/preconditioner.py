@@ -189,7 +189,8 @@ class Blocks:
 
     def _enough(self, shape: tuple[int, int]) -> bool:
         torus = self._torus(shape)
-        return math.prod(torus) >= FEWEST**2 and min(torus) >= FACTOR
+        # Of oblong pixels a torus may stay large although there is one block.
+        return max(shape) > 1 and math.prod(torus) >= FEWEST**2 and min(torus) >= FACTOR
 
     def _torus(self, shape: tuple[int, int]) -> tuple[int, int]:
         """Modes of a grid of blocks of that shape."""
