@@ -36,7 +36,7 @@ MEASURED = 0.7  # what is measured of every contact
 NEWTON = 39.0
 ADHESIVE = 40.0  # gap and stress, the next gap and the last (32), three fields in single precision: as measured
 DYNAMICS = 42.0  # displacement, force, modes and their mobility (28); the rest as measured
-GAPS_FROM, LARGE = (0.6, 0.8), 4096**2  # see `gaps_from`
+GAPS_FROM, LARGE = (0.65, 0.8), 4096**2  # see `gaps_from`
 
 
 class Arrays(NamedTuple):
