@@ -21,7 +21,7 @@ from pgfmd.physics.solids.solid import Solid
 from pgfmd.solvers.fixed_contact import increment
 from pgfmd.solvers.options import Solver
 
-TOLERANCE = 1e-12  # of the second contact: the stick area of rough contacts then moves as one to 1e-6 of the shift
+TOLERANCE = 3e-13  # of the second contact: the stick area of rough contacts then moves as one to 1e-6 of the shift
 MOST_TRIALS, ENOUGH = 12, 1e-6  # contacts until a shift is met, and its relative error
 
 
