@@ -173,6 +173,13 @@ def test_loads_and_gaps_of_a_formula(comm):
         LoadControl(Load(contact_area=(0.1,)), problem).check_targets((0.1,))
 
 
+def test_a_mean_gap_may_be_negative():
+    """A wall that bears little at the gap 0 is penetrated on average: the mean gap is that of the field, below 0."""
+    heights = 0.1 * np.random.default_rng(1).standard_normal((8, 8))
+    found = pgfmd.solve(heights, 0.5, wall={"kind": "formula", "pressure": "0.1 * exp(-gap)", "gaps": [-3, 9]})
+    assert found.mean_gap < -1 and found.mean_gap == pytest.approx(found.gap.mean(), rel=1e-6)
+
+
 @pytest.mark.parametrize("where", [{"thickness": 2.0, "poisson": 0.4}, {"boundary": "open"}])
 @pytest.mark.parametrize("far", [1e2, 1e9, 1e12])
 def test_a_displacement_keeps_its_digits_under_a_wall_that_is_felt_far_away(where, far):

@@ -140,7 +140,7 @@ class Dimensionless:
             sunk = grid.reduction.sum(depth) / grid.size
         if grid.domain.wraps:  # the mean of Gp is 0
             mean_gap = units.offset - level * units.height + lowered + sunk
-            if law.reach == 0:  # within the error, full contact may come out below 0
+            if self.physical.law.reach == 0:  # within the error, full contact may come out below 0
                 mean_gap = max(mean_gap, 0.0)
         else:
             mean_gap = grid.reduction.sum(gap) / grid.size
