@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.active_set.active_set import Precision, Relaxation, State
+from pgfmd.solvers.active_set.active_set import CUT_POWER, Precision, Relaxation, State
 from pgfmd.solvers.active_set.conjugate_gradients import NEUTRAL, ConjugateGradients, Mean
 from pgfmd.solvers.active_set.feasible import Feasible
 from pgfmd.solvers.active_set.particle_mesh import MeshResponse, inner_response
@@ -25,6 +25,7 @@ from pgfmd.solvers.active_set.unknowns import SetVector, Unknowns
 CLOSE = 3e-5  # least part of the energy error that one step can leave: of the mesh's response, see `near_kernel`
 LEAST_PART = 5e-5  # the least that the first of two steps aims at
 SURE = 0.005  # after a reduction of the energy error to this part or more, the mesh does not check the set
+MOST_LEFT = 0.5  # largest factor on the residual that is asked for once the mesh has updated the gap
 NEAR = 3.0  # gap over the rms residual up to which the mesh updates gaps: points farther away did not come into contact
 LIGHTEST = 0.02  # least approach since first contact on coarse grids, whose highest point is lower, over its height
 MOVE_CUT = 0.1  # factor on the residual in the step that changes the load; .3 and .03 cost 1.5 and 3.5 % more in all
@@ -148,7 +149,7 @@ class PressureSteps(Relaxation):
             system = self._system(state)
             if not 1.1 * goal <= system.square <= square / 2:  # NaN ends as well
                 return
-            wanted = 0.0  # the next set is about right: all that is left is asked for
+            wanted = min(MOST_LEFT, (system.square / square) ** CUT_POWER)
 
     def _respond(self, state: State, near: Unknowns, before: np.ndarray) -> None:
         """Adds to the gap of the points `near` the mesh's response to the change of their pressures, which were
