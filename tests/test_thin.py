@@ -30,8 +30,8 @@ pytestmark = pytest.mark.mpi
 
 @pytest.mark.parametrize("seed", range(16))
 def test_sets_do_not_cycle(comm, seed):
-    """Slabs of .002 to .2 of the cell and layers up to 10⁴ times as stiff as their base are certified in
-    less than 200 transforms (on one rank 27 in the median of 450, at most 139; loosely chosen sets: up to 100,000).
+    """Slabs of .002 to .2 of the cell and layers up to 10⁴ times as stiff as their base are certified in less
+    than 200 transforms (on one rank 27 in the median of 450, at most 139; loosely chosen sets: up to 100,000).
     """
     random = np.random.default_rng(seed)
     n = int(random.choice([24, 32, 64]))

@@ -1,9 +1,8 @@
 """Makes pressures feasible.
 
 `Feasible` brings pressures between their bounds: if the set of unknowns is too large, conjugate gradients leave
-tensions (p < 0) near its edges, and setting them to 0 adds load.  If possible, that load is
-balanced within the same block of pixels: balanced over all points, it would leave long waves, which cost most to
-correct.
+tensions (p < 0) near its edges, and setting them to 0 adds load.  If possible, that load is balanced within the same
+block of pixels: balanced over all points, it would leave long waves, which cost most to correct.
 
 `settle` brings the pressures of clipped gaps to the load by one factor for all points.
 """
