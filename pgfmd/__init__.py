@@ -9,9 +9,17 @@ imported when first used, so that `import pgfmd` needs no MPI.
 from __future__ import annotations
 
 import importlib
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pgfmd.errors import InputError, SolverError
+
+if TYPE_CHECKING:  # as editors and type checkers see them
+    from pgfmd.api import certify, solve
+    from pgfmd.application.ensemble import Ensemble
+    from pgfmd.application.results import Results, Runs
+    from pgfmd.application.simulate import run, surface
+    from pgfmd.plugins import register
+    from pgfmd.theory.reference_set import reference
 
 __version__ = "0.1.0"
 __all__ = ["Ensemble", "InputError", "Results", "Runs", "SolverError", "certify"]

@@ -8,7 +8,7 @@ import math
 import sys
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from functools import partial
-from typing import Any, overload
+from typing import Any, Generic, TypedDict, TypeVar, Unpack, overload
 
 import numpy as np
 
@@ -41,24 +41,60 @@ from pgfmd.solvers.solution import ContactSolution, SolverState
 from pgfmd.surfaces.file import fill_holes, warn_of_edges
 from pgfmd.surfaces.measurement import is_topography
 
+T = TypeVar("T")
 IMPOSED = "pressure", "contact_area", "mean_gap", "displacement", "force"
 CLOSENESS = "area_tolerance", "gap_tolerance", "percolation_accuracy"
 log = logging.getLogger("pgfmd")
 
 
-@overload
-def solve(heights: np.ndarray, pressure: float, **options: Any) -> Contact: ...
+class Options(TypedDict, total=False):
+    """Arguments of `solve` other than the heights and what is imposed."""
+
+    contact_modulus: float
+    spacing: float | tuple[float, float] | None
+    tolerance: float
+    wall: ContactLaw | Mapping[str, Any] | None
+    zeta: float | None
+    solid: Solid | Mapping[str, Any] | None
+    thickness: float
+    base: str | None
+    poisson: float
+    method: str
+    storage: str
+    area_tolerance: float
+    gap_tolerance: float
+    percolation_accuracy: float
+    start: np.ndarray | None
+    refine: int
+    boundary: str
+    comm: MPI.Comm | None
+    threads: int | None
+    progress: bool | None
+
+
+class Imposed(Options, Generic[T], total=False):
+    """`Options`, and what can be imposed instead of a pressure: numbers (T: one, or a list), or `percolation`."""
+
+    contact_area: T
+    mean_gap: T
+    displacement: T
+    force: T
+    percolation: str
 
 
 @overload
-def solve(heights: np.ndarray, pressure: Sequence[float] | np.ndarray, **options: Any) -> Iterator[Contact]: ...
+def solve(heights: np.ndarray, pressure: float | None = None, **options: Unpack[Imposed[float]]) -> Contact: ...
 
 
 @overload
-def solve(heights: np.ndarray, pressure: None = None, **options: Any) -> Any: ...
+def solve(
+    heights: np.ndarray,
+    pressure: Sequence[float] | np.ndarray | None = None,
+    **options: Unpack[Imposed[Sequence[float]]],
+) -> Iterator[Contact]: ...
 
 
-def solve(  # type: ignore[misc]  # the overloads leave the names of the options to the call
+def solve(
     heights: np.ndarray,
     pressure: Any = None,
     *,

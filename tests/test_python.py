@@ -5,6 +5,7 @@ import tempfile
 
 import numpy as np
 import pytest
+from conftest import ROOT
 
 import pgfmd
 from pgfmd.application import loads
@@ -237,3 +238,21 @@ def test_a_run_that_fails_leaves_nothing_behind(comm, shared_tmp_path, monkeypat
         pgfmd.run(JOB, comm=comm)
     comm.Barrier()
     assert not held and not list(shared_tmp_path.iterdir())
+
+
+@pytest.mark.breadth
+def test_type_checkers_and_editors_know_the_options_of_solve(tmp_path, monkeypatch):
+    """`pgfmd.solve` of a number is a contact, of a list an iterator; an option that does not exist is an error."""
+    from mypy import api as mypy
+
+    monkeypatch.chdir(ROOT)
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import numpy as np\nimport pgfmd\nfrom pgfmd.observables.contact import Contact\nz = np.zeros((4, 4))\n"
+        "one: Contact = pgfmd.solve(z, contact_area=0.1)\ntwo: Contact = pgfmd.solve(z, contact_area=[0.1])\n"
+        "pgfmd.solve(z, 0.1, tolerence=1e-3)\n"
+    )
+    found, _, _ = mypy.run([str(script), "--cache-dir", str(tmp_path)])
+    wrong = [line for line in found.splitlines() if "script.py" in line and ": error" in line]
+    assert {line.split(":")[1] for line in wrong} == {"6", "7"}
+    assert "tolerence" in found
