@@ -298,8 +298,8 @@ def test_a_mean_gap_is_not_negative(seed):
 
 @pytest.mark.parametrize("thickness", [math.inf, 4.0])
 def test_an_open_patch_yields_as_a_whole_beyond_its_range_of_heights(comm, thickness):
-    """Under σ_Y everywhere an open patch is also displaced: the displacements of loads up to .98 σ_Y are met.  The first
-    to be refused is that at which the last point touches, where u − h is largest."""
+    """Under σ_Y everywhere an open patch is also displaced: the displacements of loads up to .98 σ_Y are met.  The
+    first to be refused is that at which the last point touches, where u − h is largest."""
     grid, options = SlabGrid(comm, (9, 12)), {"boundary": "open", "comm": comm, "wall": Hardness(hardness=0.4)}
     options["solid"] = elastic(1.0, thickness, "bonded", 0.25)
     heights = 0.3 * np.random.default_rng(2).standard_normal((9, 12))
